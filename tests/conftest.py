@@ -126,10 +126,34 @@ def once(common_folder):
 
 
 @pytest.fixture(scope="session")
+def made_once(once):
+    """Return a function to what a function makes, under a name, made by the first process to ask for it."""
+
+    def made_once(name, make):
+        folder = once(name, lambda folder: joblib.dump(make(), folder / "made"))
+        return joblib.load(folder / "made")
+
+    return made_once
+
+
+@pytest.fixture(scope="session")
 def command():
-    """Return the command ``skdgp`` as a function of its words to its exit code."""
+    """Return the command ``skdgp`` as a function of its words, texts, numbers or paths, to its exit code."""
     (entry,) = entry_points(group="console_scripts", name="skdgp")
-    return entry.load()
+    main = entry.load()
+    return lambda words: main([*map(str, words)])
+
+
+@pytest.fixture
+def the_error(capsys):
+    """Return a function to the one line of an error that was printed, after warnings."""
+
+    def the_error():
+        lines = capsys.readouterr().err.splitlines()
+        (error,) = [line for line in lines if not line.startswith("warning: ")]
+        return error
+
+    return the_error
 
 
 @pytest.fixture(scope="session")
@@ -179,11 +203,17 @@ def port():
 
 
 @pytest.fixture(scope="session")
-def first_minute(once):
+def first_minute(made_once):
     """Return a function to the first minute of the example flights, flown once by one of the processes."""
-    load = partial(datasets.load_example_flights, duration=60.0)
-    folder = once("first minute", lambda folder: joblib.dump(load(), folder / "flights"))
-    return lambda: joblib.load(folder / "flights")
+    fly = partial(datasets.load_example_flights, duration=60.0)
+    return lambda: made_once("first minute", fly)
+
+
+@pytest.fixture(scope="module")
+def latlon(first_minute):
+    """Return a minute of the example flight in which all controls move."""
+    train = first_minute().train
+    return train[train["flight"] == "latlon"].reset_index(drop=True)
 
 
 @pytest.fixture(scope="session")
@@ -194,15 +224,13 @@ def jsbsim_maker():
 
 
 @pytest.fixture(scope="session")
-def jsbsim_flight(jsbsim_maker, once):
+def jsbsim_flight(jsbsim_maker, made_once):
     """Return a function from a model of JSBSim and its air to 40 s of a flight with truth, flown once."""
 
     def flight(model, air):
-        def write(folder):
-            table, _ = jsbsim_maker.flight_of(model, 1, air, 1, duration=40.0)
-            joblib.dump(table, folder / "flight")
-
-        return joblib.load(once(f"{model} in {air} air", write) / "flight")
+        fly = partial(jsbsim_maker.flight_of, model, 1, air, 1, duration=40.0)
+        table, _ = made_once(f"{model} in {air} air", fly)
+        return table
 
     return flight
 
@@ -270,11 +298,25 @@ def slope_std():
     return of
 
 
+@pytest.fixture(scope="session")
+def manoeuvres_of():
+    """Return a context in which plans choose from manoeuvres of some widths and multisines alone."""
+
+    @contextmanager
+    def manoeuvres_of(widths=(1.0,), multisines=()):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("skdgp.design._manoeuvres.WIDTHS", widths)
+            patch.setattr("skdgp.design._manoeuvres.MULTISINES", multisines)
+            yield
+
+    return manoeuvres_of
+
+
 @pytest.fixture
-def few_manoeuvres(monkeypatch):
+def few_manoeuvres(manoeuvres_of):
     """Let plans of pages and of the command line choose from few candidates."""
-    monkeypatch.setattr("skdgp.design._manoeuvres.WIDTHS", (1.0,))
-    monkeypatch.setattr("skdgp.design._manoeuvres.MULTISINES", ())
+    with manoeuvres_of():
+        yield
 
 
 @pytest.fixture

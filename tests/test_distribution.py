@@ -10,17 +10,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-NOT_RUN = {"skdgp"}  # itself, and tools that no test of the numerics needs:
-NOT_RUN |= {
-    "ruff",
-    "hatchling",
-    "mypy",
-    "pandas-stubs",
-    "scipy-stubs",
-    "joblib-stubs",
-    "pytest-cov",
-}
-NOT_RUN |= {"jsbsim", "lupa"}  # and programs that read what is exported
+NOT_RUN = {
+    "skdgp",  # itself
+    # tools that no test of the numerics needs
+    "ruff", "hatchling", "mypy", "pandas-stubs", "scipy-stubs", "joblib-stubs", "pytest-cov",
+    "jsbsim", "lupa",  # programs that read what is exported
+}  # fmt: skip
 
 
 def requirements(name=None):

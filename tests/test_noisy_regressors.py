@@ -69,8 +69,8 @@ def test_nonsense_is_refused(learned):
 
 def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
     t = np.arange(0, 20, 0.1)
-    flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t)})
-    flight["q"] = 0.1 * np.cos(t)
+    wave = {"alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)}
+    flight = pd.DataFrame({"time": t, "airspeed": 12.0, **wave})
     model = make_identification_pipeline(GLIDER, regressors=["alpha"], cutoff=None)
     model.fit(flight, pd.DataFrame({"CZ": -4 * flight["alpha"]}))
     assert model["flightpathreconstruction"].missing_[0] == "p"

@@ -2,15 +2,41 @@
 
 import io
 import json
-import pickle
-import subprocess
 import sys
+import threading
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
 
 QUICK = ["--samples", "40", "--max-iter", "3"]
+
+
+class Watched(io.StringIO):
+    """A stream, on a terminal or not, that tells when some words were first written, and acts then."""
+
+    def __init__(self, words, is_terminal, act=lambda: None):
+        super().__init__()
+        self.words = words
+        self.is_terminal = is_terminal
+        self.act = act
+        self.was_written = threading.Event()
+
+    def isatty(self):
+        return self.is_terminal
+
+    def write(self, text):
+        super().write(text)
+        if self.words in text and not self.was_written.is_set():
+            self.was_written.set()
+            self.act()
+
+
+@pytest.fixture
+def watched():
+    """Return the class of streams that tell when some words were written."""
+    return Watched
 
 
 @pytest.fixture(scope="session")
@@ -33,18 +59,6 @@ def in_folder(folder, monkeypatch):
 
 
 @pytest.fixture
-def the_error(capsys):
-    """Return a function to the one line of an error that was printed, after warnings."""
-
-    def the_error():
-        lines = capsys.readouterr().err.splitlines()
-        (error,) = [line for line in lines if not line.startswith("warning: ")]
-        return error
-
-    return the_error
-
-
-@pytest.fixture
 def no_report(no_pictures, no_mechanics):
     """Leave pictures out, and the flight mechanics: ``identified`` and processes of their own have them."""
 
@@ -54,35 +68,20 @@ def identified(folder, once, cut_short, command):
     """Return what a whole run wrote and said, but for its pictures, which take longer to draw than all else."""
 
     def write(results):
-        flights = ["lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
-        words = [
-            "identify",
-            *flights,
-            *QUICK,
-            "--horizon",
-            "1",
-            "-o",
-            str(results / "deep" / "er"),
-        ]
-        out = io.StringIO()
-        err = io.StringIO()
+        words = "identify lateral.csv latlon.csv --aircraft uav.json --test test.csv --horizon 1"
         with (
             patch.dict(sys.modules, {"matplotlib": None}),
             cut_short(),
             chdir(folder),
+            (results / "out").open("w", encoding="utf-8") as out,
+            (results / "err").open("w", encoding="utf-8") as err,
             redirect_stdout(out),
             redirect_stderr(err),
         ):
-            code = command(words)
-        done = subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
-        (results / "said.pickle").write_bytes(pickle.dumps(done))
+            assert command([*words.split(), *QUICK, "-o", results / "deep" / "er"]) == 0
 
     results = once("results", write)
     output = results / "deep" / "er"
-    done = pickle.loads((results / "said.pickle").read_bytes())
-    assert done.returncode == 0, done.stderr
-    return (
-        output,
-        done,
-        json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail),
-    )
+    metrics = json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail)
+    out, err = ((results / name).read_bytes().decode() for name in ("out", "err"))
+    return SimpleNamespace(output=output, out=out, err=err, metrics=metrics)

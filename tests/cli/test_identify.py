@@ -1,6 +1,5 @@
 """``skdgp``: exit codes, outputs all or none, Ctrl-C, and what it says meanwhile."""
 
-import io
 import json
 import re
 import shlex
@@ -38,8 +37,8 @@ def identify(command, tmp_path):
     """Run the command on ``latlon.csv``, or other flights, into a folder ``out``; return the exit code."""
 
     def identify(*arguments, train=("latlon.csv",), aircraft="uav.json", output=tmp_path / "out"):
-        options = ["--aircraft", str(aircraft), "-o", str(output)]
-        return command(["identify", *map(str, train), *options, *QUICK, *map(str, arguments)])
+        options = ["--aircraft", aircraft, "-o", output]
+        return command(["identify", *train, *options, *QUICK, *arguments])
 
     return identify
 
@@ -69,18 +68,17 @@ def write(folder, tmp_path):
 @pytest.mark.usefixtures("short_fits", "no_report")
 class TestIdentify:
     def test_is_silent_in_a_pipe(self, identified):
-        said = identified[1].stderr.splitlines()
+        said = identified.err.splitlines()
         assert_only_stopped(said)
-        codes = [finding["code"] for finding in identified[2]["findings"]]
+        codes = [finding["code"] for finding in identified.metrics["findings"]]
         assert {*codes} <= {"few_rows", "search_stopped"}
         assert len(codes) == len(without_stages(said))
-        assert "\r" not in identified[1].stdout
-        assert "\x1b" not in identified[1].stdout
+        assert not {"\r", "\x1b"} & {*identified.out}
 
     def test_the_function_gives_what_the_command_gives(self, folder, identified, monkeypatch):
         monkeypatch.undo()  # flight mechanics are among the metrics
         monkeypatch.chdir(folder)
-        printed = identified[1].stdout.splitlines()
+        printed = identified.out.splitlines()
         regressor = DependentGPRegressor(max_iter=3, random_state=0)
         options = {"samples": 40, "horizon": 1.0, "regressor": regressor}
         with warnings.catch_warnings(action="default"):
@@ -89,7 +87,7 @@ class TestIdentify:
                 ["lateral.csv", folder / "latlon.csv"], "uav.json", test="test.csv", **options
             )
         found = dict(result.metrics)
-        expected = dict(identified[2])
+        expected = dict(identified.metrics)
         assert json.loads(json.dumps(found, allow_nan=False)) == found
         for metrics in (found, expected):
             metrics["fit"] = metrics["fit"] | {"seconds": None, "summary": None}
@@ -99,8 +97,7 @@ class TestIdentify:
         assert lines[1:] == printed[1 : len(lines)]
 
     def test_holds_out_the_end_of_a_single_flight(self, metrics_of, capsys):
-        words = shlex.split("--json --samples 300 --regressors alpha,q_hat,elevator")
-        metrics = metrics_of(*words)
+        metrics = metrics_of(*shlex.split("--json --samples 300 --regressors alpha,q_hat,elevator"))
         assert json.loads(capsys.readouterr().out) == metrics
         assert metrics["fit"]["regressors"] == ["alpha", "q_hat", "elevator"]
         assert metrics["fit"]["samples"] == 300
@@ -110,9 +107,9 @@ class TestIdentify:
         assert "held_out_quarter" in [finding["code"] for finding in metrics["findings"]]
         assert "truth" not in flight["coefficients"]
 
-    def test_an_interruption_leaves_nothing(self, identify, tmp_path):
+    def test_an_interruption_leaves_nothing(self, identify, tmp_path, watched):
         """On a terminal one line is rewritten, until it is removed for what is said."""
-        terminal = Pressing("all outputs")
+        terminal = watched("all outputs", True, lambda: signal.raise_signal(signal.SIGINT))
         with redirect_stderr(terminal):
             assert identify("--test", "test.csv", "--max-iter", "200", "--samples", "100") == 130
         assert not (tmp_path / "out").exists()
@@ -122,15 +119,14 @@ class TestIdentify:
         assert "\n" not in progress
         drawn = dict.fromkeys(line.split(" · ")[0] for line in progress.split("\r\x1b[K")[1:-1])
         # a short one may end before it is drawn
-        stages = ["reading", "transforming", "fit"]
-        assert [*drawn] == [stage for stage in stages if stage in drawn]
+        assert [*drawn] == [stage for stage in ["reading", "transforming", "fit"] if stage in drawn]
         assert "fit" in drawn
 
     def test_a_mass_and_a_span_instead_of_a_file(self, command, tmp_path, capsys):
         """The aircraft is the estimate, named by the log."""
         words = ["identify", "latlon.csv", "--test", "test.csv", *QUICK, "--horizon", "1"]
         sizes = shlex.split("--mass 45+-0.5 --span 2.8 --kind 'flying wing' --propeller 16x8")
-        assert command([*words, *sizes, "-o", str(tmp_path / "out")]) == 0
+        assert command([*words, *sizes, "-o", tmp_path / "out"]) == 0
         assert "assumed, as nothing was told:" in capsys.readouterr().out
         propeller = Propeller.from_size(16 * 0.0254, 8 * 0.0254)
         expected = Aircraft.estimate(
@@ -153,24 +149,6 @@ class TestIdentify:
         assert "['rudder'] never change, so the model cannot learn" in said
         assert "constant over the samples" not in said  # it is said once, by name
         assert "'latlon' repeats training flight 'latlon' (its rows or its attitude)" in said
-
-
-class Pressing(io.StringIO):
-    """A terminal at which someone presses Ctrl-C when it shows some words."""
-
-    def __init__(self, words):
-        super().__init__()
-        self.words = words
-        self.pressed = False
-
-    def isatty(self):
-        return True
-
-    def write(self, text):
-        super().write(text)
-        if self.words in text and not self.pressed:
-            self.pressed = True
-            signal.raise_signal(signal.SIGINT)
 
 
 class TestBadInput:

@@ -27,8 +27,8 @@ def written(tmp_path):
 @pytest.fixture
 def predict(identified, written, command):
     """Predict a flight into the file; return the exit code."""
-    model = str(identified[0] / "model.joblib")
-    return lambda flight="test.csv": command(["predict", model, flight, "-o", str(written)])
+    model = identified.output / "model.joblib"
+    return lambda flight="test.csv": command(["predict", model, flight, "-o", written])
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-16"])
@@ -79,8 +79,8 @@ def test_imports_that_are_stopped(monkeypatch, capsys):
     assert capsys.readouterr().err == "stopped\n"
 
 
-def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():
-    stream = Watched("3 of 8")
+def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left(watched):
+    stream = watched("3 of 8", False)
     with Console(stream, period=0.01) as console:
         console.progress("transforming", 0, float("nan"))
         for done in range(4):
@@ -106,28 +106,10 @@ def test_the_time_that_is_left_is_by_the_rate_of_the_steps_since_the_first_notic
     assert left == [str(99 - first), str(98 - first)]
 
 
-class Watched(io.StringIO):
-    """A stream that tells when some words were written."""
-
-    def __init__(self, words, is_terminal=False):
-        super().__init__()
-        self.words = words
-        self.is_terminal = is_terminal
-        self.was_written = threading.Event()
-
-    def isatty(self):
-        return self.is_terminal
-
-    def write(self, text):
-        if self.words in text:
-            self.was_written.set()
-        return super().write(text)
-
-
 @pytest.mark.parametrize("is_terminal", [True, False])
-def test_a_stage_that_lasts_is_shown_with_its_seconds(is_terminal):
+def test_a_stage_that_lasts_is_shown_with_its_seconds(is_terminal, watched):
     """The waits end with the event, so their limits, in seconds, only count where the test fails."""
-    stream = Watched(" · ", is_terminal)
+    stream = watched(" · ", is_terminal)
     before = {*threading.enumerate()}
     with Console(stream, period=0.01) as console:
         (thread,) = {*threading.enumerate()} - before

@@ -36,8 +36,10 @@ def test_recorded_warnings_are_shown_and_kept_once():
 
 
 def test_parts_of_a_text_whose_values_are_unknown_are_left_out():
-    numbers = {"channels": ["q", "r"], "y": "y", "x": "x", "std": 0.1, "t": 6.0, "causes": []}
-    numbers |= {"correlation": 0.9, "effective_samples": 20.0}
+    numbers = {
+        "channels": ["q", "r"], "y": "y", "x": "x", "std": 0.1, "t": 6.0, "causes": [], "correlation": 0.9,
+        "effective_samples": 20.0,
+    }  # fmt: skip
     of_slope = numbers | {"slope": 0.0, "expected": "1"}
     slope = "the slope of y over x is 0 ± 0.1, but expected 1"
     lag = "y is 0.3 ± 0.1 s late against x"

@@ -15,14 +15,21 @@ AIRSPEED, DELAY = 20.0, 0.04
 FULL = {"aileron": 0.42, "elevator": 0.4, "rudder": 0.35}
 pytestmark = pytest.mark.filterwarnings("ignore:The parameters lack")
 # Without gains, filters and scaling; the loops of the attitude are too slow to count
-UNFILTERED = {"IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0, "FW_ARSP_SCALE_EN": 0.0}
+UNFILTERED = {
+    "IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0, "FW_ARSP_SCALE_EN": 0.0, "FW_R_TC": 1e9, "FW_P_TC": 1e9,
+}  # fmt: skip
 UNFILTERED |= {f"FW_{axis}R_{gain}": 0.0 for axis in "RPY" for gain in ("P", "I", "FF")}
-UNFILTERED |= {"FW_R_TC": 1e9, "FW_P_TC": 1e9}
 PX4 = UNFILTERED | {
     "FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_FF": 0.1, "FW_R_TC": 0.4,
     "FW_PR_P": 0.2, "FW_PR_I": 0.3, "FW_PR_FF": 0.1, "FW_P_TC": 0.5,
     "FW_YR_P": 0.3, "FW_YR_I": 0.1, "FW_AIRSPD_TRIM": 16.0, "FW_ARSP_SCALE_EN": 1.0,
 }  # fmt: skip
+
+
+def roll_loop(parameters):
+    """Return the loop of the aileron alone, which moves by up to 0.4 rad."""
+    (loop,) = autopilot_loops(parameters, {"aileron": 0.4})
+    return loop
 
 
 def linear_of(glider, slopes=None, n_paths=0, delay=DELAY, **options):
@@ -54,19 +61,19 @@ def test_of_a_roll_mode_are_those_of_the_closed_form(damping, P, I, delay, glide
     linear = only_roll(glider, damping, delay=delay)
     a, g = -linear.A.loc["p", "p"], 0.4 * linear.B.loc["p", "aileron"]
     P, I = P * abs(a) / g, I / g
-    loops = autopilot_loops(UNFILTERED | {"FW_RR_P": P, "FW_RR_I": I}, {"aileron": 0.4})
+    loop = roll_loop(UNFILTERED | {"FW_RR_P": P, "FW_RR_I": I})
 
     def L(w):
         return (P + I / (1j * w)) * g / (1j * w + a) * np.exp(-1j * w * delay)
 
     at_180 = brentq(lambda w: L(w).imag, 0.25 * np.pi / delay, np.pi / delay)
-    found = margins(linear, loops)["value"]["roll"]
+    found = margins(linear, [loop])["value"]["roll"]
     assert_allclose(found["gain"], -20 * np.log10(abs(L(at_180))), atol=0.02)
     if I == 0.0:
         crossover = np.sqrt((P * g) ** 2 - a**2)
         assert_allclose(found["crossover"], crossover, rtol=1e-3)
         assert_allclose(found["phase"], 180.0 + np.rad2deg(np.angle(L(crossover))), atol=0.2)
-    beyond = loops[0].scaled(1.003 * 10 ** (found["gain"] / 20))
+    beyond = loop.scaled(1.003 * 10 ** (found["gain"] / 20))
     assert margins(linear, [beyond])["value"]["roll"]["gain"] == -np.inf
 
 
@@ -74,7 +81,7 @@ def test_of_a_roll_mode_are_those_of_the_closed_form(damping, P, I, delay, glide
 def test_a_growing_mode_of_a_closed_loop_is_told(damping, factor, glider):
     """s - a + g exp(-s T) = 0 has a root that grows: of too high gains, or of a turned sign."""
     linear = only_roll(glider, damping)
-    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 6.0}, {"aileron": 0.4})
+    loop = roll_loop(UNFILTERED | {"FW_RR_P": 6.0})
     a, g = linear.A.loc["p", "p"], 0.4 * 6.0 * linear.B.loc["p", "aileron"]
     root = newton(lambda s: s - a + factor * g * np.exp(-s * DELAY), 10 + 40j * (factor > 0))
     assert root.real > 1.0
@@ -155,8 +162,9 @@ def test_the_rudder_follows_the_roll_loop(parameters, mix, linear):
 UNIT = np.rad2deg(1.0) / 45.0  # outputs of ArduPilot are degrees of 45
 ROLL = {"RLL_RATE_P": 1e-9, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.3, "RLL2SRV_TCONST": 0.4}
 PITCH = {name.replace("RLL", "PTCH"): value for name, value in ROLL.items()}
-RATE = {"RLL_RATE_P": 0.2, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.0, "SCALING_SPEED": 15.0}
-RATE |= {"INS_GYRO_FILTER": 0.0}
+RATE = {
+    "RLL_RATE_P": 0.2, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.0, "SCALING_SPEED": 15.0, "INS_GYRO_FILTER": 0.0,
+}  # fmt: skip
 S = 30j
 BY_RATE = -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9
 # The loop of parameters and a surface of 0.4 rad: its command for a channel at s, 20 m/s and density 0.9
@@ -198,7 +206,7 @@ def test_laws_are_those_of_the_firmware(parameters, surface, channel, s, law):
 )
 def test_airspeeds_that_a_file_lacks_are_the_firmwares_defaults(gains, limits, trim):
     """Gains are scaled by trim over airspeed, squared, between limits of the airspeed."""
-    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
+    roll = roll_loop(gains)
     fast = np.array([1e-6 + 0j])  # below all filters
     at_trim = roll.feedback(fast, trim, 1.225)["p"]
     for airspeed in (1.0, 10.0, 30.0, 100.0):
@@ -274,7 +282,7 @@ def test_the_yaw_damper_of_ardupilot_washes_out_a_steady_rate():
     )
     s = 1j * 300 * 0.003992 * np.array([1e-4, 1.0, 1e2])
     slow, corner, fast = np.abs(yaw.feedback(s, 20.0, 1.225)["r"] / yaw.of_gyro[0](s))
-    gain = 0.3 * 0.5 * np.rad2deg(1.0) / 45
+    gain = 0.3 * 0.5 * UNIT
     assert_allclose(
         [slow, corner, fast], [0.0, gain / np.sqrt(2), gain], rtol=1e-3, atol=1e-3 * gain
     )
@@ -322,32 +330,24 @@ def response(loop, frequency, of):
     ],
 )
 def test_static_notches_are_in_the_loop(firmware, notch, width, depth):
-    """Of a width B about f_0 the phase at f is -atan(B f / (f_0^2 - f^2)), where the notch is deep."""
-    (without,), (with_notch,) = (
-        autopilot_loops(firmware | extra, {"aileron": 0.4}) for extra in ({}, notch)
-    )
+    """Of a width B and a depth d about f_0: (f_0^2 - f^2 + i d B f) / (f_0^2 - f^2 + i B f)."""
+    without, with_notch = (roll_loop(firmware | extra) for extra in ({}, notch))
 
     def ratio(frequency):
         return response(with_notch, frequency, "p") / response(without, frequency, "p")
 
-    for frequency in (1.0, 4.3, 60.0):
-        late = np.arctan2(width * frequency, 15.0**2 - frequency**2)
-        early = np.arctan2(depth * width * frequency, 15.0**2 - frequency**2)
-        assert_allclose(
-            np.angle(ratio(frequency)), np.angle(np.exp(1j * (early - late))), atol=1e-9
-        )
-    assert_allclose(abs(ratio(15.0)), depth, atol=1e-9)
+    for frequency in (1.0, 4.3, 15.0, 60.0):
+        apart, beside = 15.0**2 - frequency**2, 1j * width * frequency
+        assert_allclose(ratio(frequency), (apart + depth * beside) / (apart + beside), atol=1e-9)
 
 
 def test_the_derivative_of_the_target_feeds_forward():
     """AC_PID: DFF is the derivative of the filtered target times D_FF, of rates scaled by the airspeed, squared."""
     gains = {"RLL_RATE_P": 0.1, "RLL2SRV_TCONST": 0.5, "SCALING_SPEED": 15.0}
-    (without,) = autopilot_loops(gains, {"aileron": 0.4})
-    (loop,) = autopilot_loops(gains | {"RLL_RATE_D_FF": 0.02}, {"aileron": 0.4})
+    loop = roll_loop(gains | {"RLL_RATE_D_FF": 0.02})
     s = 2j * np.pi * 2.0
-    added = response(loop, 2.0, "phi") - response(without, 2.0, "phi")
-    unit = np.rad2deg(1.0) / 45.0
-    expected = -0.4 * unit * (15.0 / 20.0) ** 2 * 0.02 * s / (1 + s / (2 * np.pi * 3.0)) / 0.5
+    added = response(loop, 2.0, "phi") - response(roll_loop(gains), 2.0, "phi")
+    expected = -0.4 * UNIT * (15.0 / 20.0) ** 2 * 0.02 * s / (1 + s / (2 * np.pi * 3.0)) / 0.5
     assert_allclose(added, expected)
 
 
@@ -406,7 +406,7 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
 )
 def test_parameters_that_are_of_no_use_are_refused(parameters, words):
     with pytest.raises(ValueError, match=words):
-        autopilot_loops(parameters, {"aileron": 0.4})
+        roll_loop(parameters)
 
 
 @pytest.mark.parametrize(
@@ -461,8 +461,7 @@ HARMONIC = {"RLL_RATE_P": 0.1, "INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0}
     ],
 )
 def test_harmonics_of_ardupilot_are_notches(notch, frequencies):
-    (loop,) = autopilot_loops(HARMONIC | notch, {"aileron": 0.4})
-    _, *notches = loop.of_gyro
+    _, *notches = roll_loop(HARMONIC | notch).of_gyro
     assert_allclose([notch.frequency for notch in notches], frequencies)
     assert len({notch.quality for notch in notches}) <= 1
 
@@ -470,9 +469,9 @@ def test_harmonics_of_ardupilot_are_notches(notch, frequencies):
 def test_a_notch_that_follows_the_engine_or_is_double_is_named():
     follows = {"INS_HNTCH_BW": 20.0, "INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_OPTS": 1}
     with pytest.warns(UserWarning, match="INS_HNTCH_REF 0.3, INS_HNTCH_OPTS 1"):
-        autopilot_loops(HARMONIC | follows, {"aileron": 0.4})
+        roll_loop(HARMONIC | follows)
     for fixed in ({"INS_HNTCH_MODE": 1}, {"INS_HNTCH_MODE": 0, "INS_HNTCH_REF": 0.3}):
-        autopilot_loops(HARMONIC | {"INS_HNTCH_BW": 20.0} | fixed, {"aileron": 0.4})
+        roll_loop(HARMONIC | {"INS_HNTCH_BW": 20.0} | fixed)
 
 
 @pytest.mark.parametrize(
@@ -492,13 +491,12 @@ def test_parameters_of_the_loops_that_are_not_known_are_named(extra, names):
 
 
 def test_an_integrator_without_room_is_none():
-    gains = UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_IMAX": 0.0}
-    assert autopilot_loops(gains, {"aileron": 0.4})[0].I == 0.0
+    assert roll_loop(UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_IMAX": 0.0}).I == 0.0
 
 
 def test_gains_that_a_file_lacks_are_the_firmwares_defaults():
     with pytest.warns(UserWarning, match="lack .*FW_RR_I 0.1.* defaults of PX4"):
-        (roll,) = autopilot_loops({"FW_RR_P": 0.2}, {"aileron": 0.4})
+        roll = roll_loop({"FW_RR_P": 0.2})
     assert (roll.P, roll.I, roll.FF, roll.time_constant) == (0.2, 0.1, 0.5, 0.4)
     assert roll.parameters == {"FW_RR_P": 0.2, "FW_RR_I": 0.1, "FW_RR_FF": 0.5}
 
@@ -538,7 +536,7 @@ def test_a_gain_that_is_no_number_is_refused(value, tmp_path):
 
 
 def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
-    (loop,) = autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4})
+    loop = roll_loop({"FW_RR_P": 0.1})
     with pytest.raises(ValueError, match="flaperon"):
         margins(linear, [replace(loop, control="flaperon")])
     with pytest.raises(ValueError, match="each of its own control"):

@@ -10,11 +10,8 @@ from numpy.testing import assert_allclose
 
 from skdgp.datasets import load_example_flights
 
-REGRESSORS = [
-    *("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot"),
-    *SURFACES,
-]
-SCALES = np.array([0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1])
+REGRESSORS = ["alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", *SURFACES]
+SCALES = [0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1]
 
 
 @cache

@@ -136,7 +136,7 @@ def test_perfect_sensors_tell_the_truth():
 
 def test_noise_of_the_sensors_is_white_and_independent(data):
     names = ["airspeed", "alpha", "p", "ax", "phi", "v_north", "north"]
-    errors = data.train[names].to_numpy() - true(data.train, *names)
+    errors = data.train[names] - true(data.train, *names)
     rad = np.pi / 180
     assert_allclose(
         errors.std(axis=0), [0.3, 0.3 * rad, 0.002, 0.05, 0.3 * rad, 0.1, 0.5], rtol=0.04
@@ -148,10 +148,10 @@ class TestGusts:
     """Of the aircraft of these flights, at one state where nothing vanishes."""
 
     ATTITUDE = euler_to_quaternion(0.5, 0.1, 2.0)
-    RATES = np.array([0.3, 0.12, -0.15])
+    RATES = (0.3, 0.12, -0.15)
     STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, ATTITUDE, RATES]
     CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
-    WIND = np.array([3.0, -2.0, 0.5])
+    WIND = (3.0, -2.0, 0.5)
 
     def test_steady_gust_acts_like_wind(self, data):
         """A body-fixed gust that follows a steady wind turns against the aircraft."""

@@ -42,11 +42,9 @@ OPTIONS = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few():
+def few(manoeuvres_of):
     """Plan with few manoeuvres, to be fast."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skdgp.design._manoeuvres.WIDTHS", (1.0,))
-        patch.setattr("skdgp.design._manoeuvres.MULTISINES", ())
+    with manoeuvres_of():
         yield
 
 
@@ -78,17 +76,14 @@ def ask(model, uav, point):
 
 
 @pytest.fixture(scope="module")
-def planned(ask):
-    goal = ["Cm_alpha", "Cm_q"]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skdgp.design._manoeuvres.WIDTHS", (1.0, 2.5))
-        patch.setattr("skdgp.design._manoeuvres.MULTISINES", (5.0, 10.0))
-        return ask(goal=goal, seconds=14.0, envelope=LIMITED)
+def planned(ask, manoeuvres_of):
+    with manoeuvres_of((1.0, 2.5), (5.0, 10.0)):
+        return ask(goal=["Cm_alpha", "Cm_q"], seconds=14.0, envelope=LIMITED)
 
 
 def test_the_time_and_the_limits_are_kept(planned):
     table = planned.train.table(50.0)
-    assert planned.train.duration + 3.0 == pytest.approx(planned.seconds)
+    assert_allclose(planned.train.duration + 3.0, planned.seconds)
     assert planned.seconds <= 14.0
     assert table["elevator"].abs().max() <= 0.06
     assert planned.manoeuvres["pause"].iloc[-1] == 3.0
@@ -108,7 +103,7 @@ def test_the_pause_is_a_quarter_of_the_phugoid(glider, uav):
     steady = trim(stable, uav, 40.0)
     phugoid = linearize(stable, uav, steady).modes().loc["phugoid", "period"]
     found = plan(stable, uav, steady, **OPTIONS | {"seconds": 15.0})
-    assert found.manoeuvres["start"][0] == pytest.approx(phugoid / 4, rel=0.15)
+    assert_allclose(found.manoeuvres["start"][0], phugoid / 4, rtol=0.15)
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,10 @@ SENSED = (
     "time airspeed alpha beta density north east down v_north v_east v_down phi theta psi p q r "
     "p_dot q_dot r_dot ax ay az"
 )
-START = {"airspeed": 24.0, "alpha": 0.07, "beta": -0.04, "phi": 0.3, "theta": 0.1, "psi": 2.0}
-START |= {"p": 0.2, "q": 0.05, "r": -0.1, "north": 5.0, "east": -7.0, "altitude": 120.0}
+START = {
+    "airspeed": 24.0, "alpha": 0.07, "beta": -0.04, "phi": 0.3, "theta": 0.1, "psi": 2.0, "p": 0.2, "q": 0.05,
+    "r": -0.1, "north": 5.0, "east": -7.0, "altitude": 120.0,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="session")

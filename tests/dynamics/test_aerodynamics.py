@@ -174,7 +174,7 @@ def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targe
     assert_array_equal(aerodynamics.limits, [[0, 0], [1, 1]])
     assert aerodynamics.flown == {"phi": (-0.5, 0.4)}
     point = flight[["alpha", "beta"]].iloc[:1]
-    assert_allclose(aerodynamics(point.to_numpy()), model[-1].predict(point))
+    assert_allclose(aerodynamics(point), model[-1].predict(point))
 
 
 def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, targets):
@@ -182,12 +182,12 @@ def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, target
     model = LinearRegression().fit(table, targets)
     aerodynamics = as_aerodynamics(model)
     assert aerodynamics.regressors == ("alpha", "beta")
-    assert_allclose(aerodynamics(table.to_numpy()), model.predict(table))
+    assert_allclose(aerodynamics(table), model.predict(table))
     assert hasattr(model, "feature_names_in_")  # the user's model is left as it was
 
 
 def learned_without_names(flight, targets):
-    return LinearRegression().fit(np.zeros((120, 2)), targets.to_numpy())
+    return LinearRegression().fit(np.zeros((120, 2)), targets)
 
 
 def scaled_before_chosen(flight, targets):
@@ -197,7 +197,7 @@ def scaled_before_chosen(flight, targets):
 
 
 @pytest.mark.parametrize(("learned", "match"), [
-    (lambda X, Y: pipeline(LinearRegression()).fit(X, Y[["CZ", "Cm"]].to_numpy()), "expected all six coefficients"),
+    (lambda X, Y: pipeline(LinearRegression()).fit(X, Y[["CZ", "Cm"]]), "expected all six coefficients"),
     (lambda X, Y: pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(X, Y[["CZ", "Cm"]]),
      r"lacks \['CX', 'CY', 'Cl', 'Cn'\]"),
     (learned_without_names, "have no names"),

@@ -63,8 +63,7 @@ def test_torque_turns_the_aircraft_against_the_propeller():
 
 def test_propeller_thrust_of_a_flight(aircraft):
     powered = replace(aircraft, propeller=TRUE)
-    table = flight(propeller_speed=[500.0, 600.0])
-    force, moment = propulsive_loads(table, powered)
+    force, moment = propulsive_loads(flight(propeller_speed=[500.0, 600.0]), powered)
     state = [500.0, 600.0], [20, 21], 1.1
     line = aircraft.thrust_line
     assert_allclose(force, np.outer(TRUE.thrust(*state), line.direction))
@@ -105,8 +104,8 @@ def test_coefficients_by_the_size_are_those_of_the_fit():
 
 def test_a_motor_under_load_turns_at_three_quarters_of_its_free_speed():
     propeller = Propeller.from_size(**SIZE, **MOTOR)
-    assert propeller.speed_range == pytest.approx((0.0, 0.75 * 94.2 * 11.1))
-    assert propeller.load_std == pytest.approx(np.hypot(0.23, 0.35), abs=0.005)
+    assert_allclose(propeller.speed_range, (0.0, 0.75 * 94.2 * 11.1))
+    assert_allclose(propeller.load_std, np.hypot(0.23, 0.35), rtol=0, atol=0.005)
 
 
 def test_an_aircraft_file_has_diameter_and_pitch():
@@ -128,9 +127,10 @@ def test_an_aircraft_file_has_diameter_and_pitch():
 
 def test_the_throttle_gives_the_thrust_where_the_motor_is_known():
     rng = default_rng(0)
-    table = pd.DataFrame({"time": 0.05 * np.arange(400), "density": 1.2, "az": -9.8})
-    table = table.assign(airspeed=rng.uniform(14, 19, 400), throttle=rng.uniform(0.4, 0.9, 400))
-    table[["ax", "ay", "p", "q", "r"]] = 0.0
+    table = pd.DataFrame({
+        "time": 0.05 * np.arange(400), "density": 1.2, "az": -9.8, "ax": 0.0, "ay": 0.0, "p": 0.0, "q": 0.0,
+        "r": 0.0, "airspeed": rng.uniform(14, 19, 400), "throttle": rng.uniform(0.4, 0.9, 400),
+    })  # fmt: skip
     told = Aircraft.estimate(2.0, 1.5, propeller=SIZE | MOTOR)
     speed = told.propeller.speed_at(table["throttle"])
     thrust = told.propeller.thrust(speed, table["airspeed"], 1.2)

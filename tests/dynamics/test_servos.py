@@ -25,14 +25,14 @@ def flown(glider, level, servos, controls, dt=0.02, duration=2.0):
 def steps_of(time, size=0.05):
     """Return commands that are held for 0.1 s each."""
     wave = np.array([0, 0, 1, 1, -1, -1, 1, 0, -1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
-    return size * wave[np.floor(np.asarray(time) / 0.1 + 1e-6).astype(int).clip(0, 19)]
+    return size * wave[np.floor(time / 0.1 + 1e-6).astype(int).clip(0, 19)]
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.0125])
 @pytest.mark.parametrize("delay", [0.0, 0.007, 0.02, 0.033, 0.1])
 def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, followed, delay, dt):
     def law(t, state):
-        return level.controls | {"aileron": float(steps_of(t))}
+        return level.controls | {"aileron": steps_of(t)}
 
     table = flown(glider, level, Servos(0.04, delay), law, dt)
     time = table["time"].to_numpy()
@@ -47,7 +47,7 @@ def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, fo
 def test_commands_that_change_within_steps_are_late_and_followed(glider, level, followed, delay):
     """Those of a table are linear between its rows."""
     time = 0.02 * np.arange(101)
-    table = pd.DataFrame({"time": time, **level.controls}).assign(aileron=0.05 * np.sin(5 * time))
+    table = pd.DataFrame({"time": time, **level.controls, "aileron": 0.05 * np.sin(5 * time)})
     found = flown(glider, level, Servos(0.04, delay), table)
 
     def command(t):
@@ -60,16 +60,14 @@ def test_commands_that_change_within_steps_are_late_and_followed(glider, level, 
 @pytest.mark.parametrize("lag", [0.0, 0.04])
 def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, followed, lag):
     def law(t, state):
-        return level.controls | {"aileron": float(steps_of(t, 0.3))}
+        return level.controls | {"aileron": steps_of(t, 0.3)}
 
-    servos = Servos(lag, 0.03, rate_limit=5.0)
-    table = flown(glider, level, servos, law, 0.005, 1.5)
+    table = flown(glider, level, Servos(lag, 0.03, rate_limit=5.0), law, 0.005, 1.5)
     rate = np.abs(np.diff(table["aileron"])) / 0.005
-    assert rate.max() == pytest.approx(5.0)
+    assert_allclose(rate.max(), 5.0)
     assert np.abs(table["aileron"]).max() <= 0.3 + 1e-12
     if lag:
-        time = table["time"].to_numpy()
-        expected = followed(lambda t: steps_of(t, 0.3), time, lag, 0.03, 5.0)
+        expected = followed(lambda t: steps_of(t, 0.3), table["time"].to_numpy(), lag, 0.03, 5.0)
         assert_allclose(table["aileron"], expected, atol=2e-3)
 
 

@@ -35,8 +35,10 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-START = {"airspeed": 22.0, "alpha": 0.08, "beta": 0.02, "phi": 0.3, "theta": 0.1, "psi": 1.0}
-START |= {"p": 0.1, "q": 0.05, "r": -0.1, "north": 10.0, "east": -20.0, "altitude": 300.0}
+START = {
+    "airspeed": 22.0, "alpha": 0.08, "beta": 0.02, "phi": 0.3, "theta": 0.1, "psi": 1.0, "p": 0.1, "q": 0.05,
+    "r": -0.1, "north": 10.0, "east": -20.0, "altitude": 300.0,
+}  # fmt: skip
 STATES = [*VELOCITY, *EULER, *RATES, "north", "east", "down", "airspeed"]
 REST = dict.fromkeys(SURFACES, 0.0)
 WIND_OVER_GROUND = [3.0, -2.0, 0.7]
@@ -81,12 +83,11 @@ class TestEquations:
     def test_follows_newton_and_euler(self, aircraft, flown, glider):
         """Typed from the textbook with rotations by scipy; slopes are those of splines through the states."""
         time = flown["time"].to_numpy()
-        angles = flown[["psi", "theta", "phi"]].to_numpy(copy=True)
-        attitude = Rotation.from_euler("ZYX", angles)
+        attitude = Rotation.from_euler("ZYX", flown[["psi", "theta", "phi"]].to_numpy(copy=True))
         u, v, w = attitude.inv().apply(flown[VELOCITY].to_numpy() - WIND_OVER_GROUND).T
         speed = np.sqrt(u**2 + v**2 + w**2)
         rates = flown[RATES].to_numpy()
-        lengths = np.array([2.6, 0.55, 2.6])
+        lengths = [2.6, 0.55, 2.6]
         *surfaces, thrust = commands(time).values()
         reduced = rates * lengths / (2 * speed[:, None])
         regressors = np.column_stack([np.arctan(w / u), np.arcsin(v / speed), reduced, *surfaces])
@@ -159,8 +160,8 @@ class TestRegressors:
         flown = fly(model, controls=controls, dt=step, duration=0.5, air=gust)
         for name in ("alpha", "beta"):
             flown[f"{name}_dot"] = np.gradient(flown[name], step, edge_order=2)
-        flown["alpha_dot_hat"] = flown["alpha_dot"] * aircraft.chord / (2 * flown["airspeed"])
-        flown["q_hat"] = flown["q"] * aircraft.chord / (2 * flown["airspeed"])
+        for name in ("alpha_dot", "q"):
+            flown[f"{name}_hat"] = flown[name] * aircraft.chord / (2 * flown["airspeed"])
         again = coefficients(flown[list(names)].to_numpy())
         inner = slice(3, -3)
         assert_allclose(again[inner], flown[COEFFICIENTS][inner], atol=2e-4)
@@ -232,8 +233,7 @@ class TestControls:
 
 class TestStarts:
     def test_the_air_is_that_of_the_altitude(self, fly):
-        above_home = START | {"down": -50.0, "altitude": 1500.0}
-        flown = fly(x0=above_home, duration=0.1)
+        flown = fly(x0=START | {"down": -50.0, "altitude": 1500.0}, duration=0.1)
         assert_allclose(flown["density"].iloc[0], standard_density(1500.0))
         with pytest.warns(UserWarning, match="altitude of -455 m, below any land"):
             fly(x0={"airspeed": 22.0, "alpha": 0.08, "down": 455.0}, duration=0.1)
@@ -254,8 +254,7 @@ class TestStarts:
         fly(x0=start, duration=0.1, air=[0.3, 0.0, 0.0])  # less than 15 % off
 
     def test_controls_of_another_time_than_the_start_are_noticed(self, fly):
-        table = pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(("elevator", "aileron"), 0.0)})
-        table = table.assign(rudder=0.0, thrust=12.0)
+        table = pd.DataFrame({"time": [0.0, 1.0], **REST, "thrust": 12.0})
         with pytest.warns(UserWarning, match=r"begin \[-5.0\] s from the times of their starts"):
             fly(x0=START | {"time": 5.0}, controls=table, duration=0.1)
 
@@ -282,8 +281,7 @@ class TestMarks:
         with pytest.warns(SimulationWarning, match=told):
             both = fly(falling, starts, **options)
         lost, kept = (part.reset_index(drop=True) for _, part in both.groupby("start"))
-        alone = fly(falling, **options)
-        assert_allclose(kept[STATES], alone[STATES], atol=1e-12)
+        assert_allclose(kept[STATES], fly(falling, **options)[STATES], atol=1e-12)
         end = (lost["ended"] != "").idxmax()
         assert_allclose(lost["time"][end], 8.0 * np.sin(1.5) / 9.80665, atol=0.15)
         assert lost.loc[end:, STATES].isna().all(axis=None)
@@ -328,10 +326,8 @@ class TestEnsembles:
             assert_allclose(path[STATES], alone[STATES], atol=1e-10)
 
     def test_each_path_flies_in_a_wind_that_changes(self, fly):
-        wind = pd.DataFrame({"time": [0.0, 1.0]}).assign(
-            wind_north=[3.0, 5.0], wind_east=-2.0, wind_down=0.5
-        )
-        paths = fly(duration=1.0, n_paths=3, air=Air(wind=wind, gusts=None))
+        wind = {"time": [0.0, 1.0], "wind_north": [3.0, 5.0], "wind_east": -2.0, "wind_down": 0.5}
+        paths = fly(duration=1.0, n_paths=3, air=Air(wind=pd.DataFrame(wind), gusts=None))
         for _, path in paths.groupby("path"):
             assert_allclose(path["wind_north"], 3.0 + 2.0 * path["time"], atol=1e-9)
 
@@ -356,8 +352,8 @@ class TestEnsembles:
         airspeed[:20, 1] = np.nan
         ended = np.where(np.isnan(airspeed), "diverged", "").ravel()
         path, time = np.divmod(np.arange(200), 2)
-        values = {"path": path, "time": time, "airspeed": airspeed.ravel(), "ended": ended}
-        bands = trajectory_bands(pd.DataFrame(values).assign(start=0))
+        values = {"start": 0, "path": path, "time": time, "airspeed": airspeed.ravel()}
+        bands = trajectory_bands(pd.DataFrame({**values, "ended": ended}))
         assert bands["flying"].tolist() == [1.0, 0.8]
         expected = np.nanquantile(airspeed, [0.5, 0.025, 0.975], axis=0).T
         assert_allclose(bands[["airspeed", "airspeed_low", "airspeed_high"]], expected)
@@ -383,9 +379,9 @@ class TestSimulator:
         seen = simulator.reset(START, controls=law(0.0, START))
         for row in at_once.to_dict("records"):
             for name in ("time", *STATES):
-                assert seen[name] == pytest.approx(row[name], abs=1e-10)
+                assert_allclose(seen[name], row[name], rtol=0, atol=1e-10)
             for name in FORCES if not gain else ():
-                assert seen[name] == pytest.approx(row[name], abs=0.01)
+                assert_allclose(seen[name], row[name], rtol=0, atol=0.01)
             seen = simulator.step(law(seen["time"], seen))
 
     def test_a_step_three_times_as_long_is_three_steps(self, aircraft, glider):

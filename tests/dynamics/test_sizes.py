@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from log_errors import scale
 from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp._compute.messages import FindingWarning
 from skdgp._flight.findings import Code
@@ -20,13 +21,6 @@ from skdgp.dynamics import Aircraft, ScaleFactor, ThrustLine, numbers_in_flight
 FOOT = 0.3048
 POUND = 0.45359237
 GRAVITY = 9.80665
-
-
-@pytest.fixture(scope="module")
-def flight(first_minute):
-    """Return a minute of a flight in which all controls move."""
-    train = first_minute().train
-    return train[train["flight"] == "latlon"].reset_index(drop=True)
 
 
 # mass, wing area, span, chord, (Ixx, Iyy, Izz), CZ_alpha, Cl_p, Cm_q, Cn_r: Heffley & Jewell 1972, Beard &
@@ -61,8 +55,8 @@ def published(name):
 
 def asked_for(question):
     """Return what a question asks for: unit and value by size."""
-    found = {} if question is None else question.numbers
-    return {(each.channel, each.numbers["unit"]): each.numbers["value"] for each in found["asked"]}
+    asked = question.numbers["asked"]
+    return {(each.channel, each.numbers["unit"]): each.numbers["value"] for each in asked}
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -78,7 +72,7 @@ def test_the_page_has_the_laws_of_sizes_with_their_limits():
 
 @pytest.mark.parametrize(("span", "slope"), [(0.1, np.pi * 0.01 / 2), (1e3, 2 * np.pi)])
 def test_lift_slope_of_a_slender_and_of_an_infinite_wing(span, slope):
-    assert usual_lift_slope({"span": span, "wing_area": 1.0}) == pytest.approx(slope, rel=0.01)
+    assert_allclose(usual_lift_slope({"span": span, "wing_area": 1.0}), slope, rtol=0.01)
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -96,7 +90,7 @@ def test_one_size_of_another_unit_is_asked_for(name, size, unit, factor):
     right = sizes_of(name)
     question = question_of_sizes(right | {size: right[size] / factor}, {})
     assert question.code is Code.SIZES_QUESTIONED
-    assert asked_for(question)[size, unit] == pytest.approx(right[size])
+    assert_allclose(asked_for(question)[size, unit], right[size])
 
 
 @pytest.mark.parametrize(
@@ -117,16 +111,14 @@ def test_the_unit_of_a_size_is_asked_for(names, factor, unit):
 def test_a_slip_of_the_decimal_point_is_asked_about():
     right = sizes_of("Skywalker X8")
     question = question_of_sizes(right | {"mass": 10 * right["mass"], "CL": 3.5}, {})
-    asked = asked_for(question)
-    assert asked["mass", "with a decimal place too many"] == pytest.approx(right["mass"])
+    assert_allclose(asked_for(question)["mass", "with a decimal place too many"], right["mass"])
 
 
 def test_a_size_of_another_source_is_asked_for():
     weighed = {"weight": ScaleFactor(0.02, {"mass": 1.0}, "scale of 2021")}
     inertia = np.diag([0.8, 1.1, 1.8])
     sizes = {"mass": 13500.0, "inertia": inertia, "wing_area": 0.55, "span": 2.9, "chord": 0.19}
-    question = Aircraft(**sizes, deviations=weighed).question_of_sizes()
-    assert ("mass", "g") in asked_for(question)
+    assert ("mass", "g") in asked_for(Aircraft(**sizes, deviations=weighed).question_of_sizes())
 
 
 @pytest.mark.parametrize(
@@ -155,16 +147,16 @@ def question_of(aircraft, table):
     return aircraft.question_of_sizes(*numbers_in_flight(FlightTable.of(table), aircraft))
 
 
-def test_an_error_of_the_wing_area_is_one_of_the_lift(first_minute, flight):
+def test_an_error_of_the_wing_area_is_one_of_the_lift(first_minute, latlon):
     """CL goes with its inverse; CL_alpha over that of a wing with its power of 0.65, beside the error of the slope."""
     aircraft = first_minute().aircraft
     error = {"wing": ScaleFactor(0.1, {"wing_area": 1.0})}
-    flights = FlightTable.of(flight)
+    flights = FlightTable.of(latlon)
     _, exact = numbers_in_flight(flights, replace(aircraft, deviations={}))
     numbers, stds = numbers_in_flight(flights, replace(aircraft, deviations=error))
-    assert stds["CL"] == pytest.approx(0.1 * numbers["CL"])
+    assert_allclose(stds["CL"], 0.1 * numbers["CL"])
     of_area = 0.065 * abs(numbers["CZ_alpha"])
-    assert stds["CZ_alpha"] == pytest.approx(np.hypot(exact["CZ_alpha"], of_area))
+    assert_allclose(stds["CZ_alpha"], np.hypot(exact["CZ_alpha"], of_area))
 
 
 def names_asked(aircraft, table):
@@ -173,15 +165,15 @@ def names_asked(aircraft, table):
 
 
 @pytest.mark.parametrize(("size", "factor"), [("mass", 1 / 0.45359237), ("thrust_x", 1 / 4.44822)])
-def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
+def test_the_thrust_tells_the_mass(first_minute, latlon, size, factor):
     """Newton's second law: the slope of ax over the thrust is 1 / mass."""
     aircraft = first_minute().aircraft
-    assert question_of(aircraft, flight) is None
+    assert question_of(aircraft, latlon) is None
     if size == "mass":
         aircraft = replace(aircraft, mass=factor * aircraft.mass)
     else:
-        flight = scale({size: factor})(flight)
-    assert size.removesuffix("_x") in names_asked(aircraft, flight)
+        latlon = scale({size: factor})(latlon)
+    assert size.removesuffix("_x") in names_asked(aircraft, latlon)
 
 
 @pytest.mark.parametrize(
@@ -197,12 +189,12 @@ def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
     ],
 )
 def test_flights_ask_for_the_propeller_and_the_thrust_line(
-    first_minute, flight, diameter, speed, direction, asked
+    first_minute, latlon, diameter, speed, direction, asked
 ):
     aircraft = first_minute().aircraft
     propeller = replace(aircraft.propeller, diameter=diameter * aircraft.propeller.diameter)
     line = ThrustLine(direction=direction * aircraft.engine_line.direction)
-    by_propeller = flight.drop(columns=flight.filter(like="thrust").columns)
+    by_propeller = latlon.drop(columns=latlon.filter(like="thrust").columns)
     names = names_asked(
         replace(aircraft, propeller=propeller, thrust_line=line),
         scale({"propeller_speed": speed})(by_propeller),
@@ -215,10 +207,10 @@ def test_flights_ask_for_the_propeller_and_the_thrust_line(
 @pytest.mark.parametrize(
     ("name", "value"), [("propeller_speed", 0.0), ("propeller_speed", np.nan), ("thrust_z", np.nan)]
 )
-def test_an_engine_that_is_off_or_unknown_asks_nothing(first_minute, flight, name, value):
+def test_an_engine_that_is_off_or_unknown_asks_nothing(first_minute, latlon, name, value):
     if name == "propeller_speed":
-        flight = flight.drop(columns=flight.filter(like="thrust").columns)
-    assert question_of(first_minute().aircraft, flight.assign(**{name: value})) is None
+        latlon = latlon.drop(columns=latlon.filter(like="thrust").columns)
+    assert question_of(first_minute().aircraft, latlon.assign(**{name: value})) is None
 
 
 @pytest.mark.parametrize(

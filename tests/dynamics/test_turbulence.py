@@ -40,9 +40,11 @@ def flights(turbulence, n_flights, duration, noise, seed, heading=0.0):
         velocity = [SPEED, 0.0, 0.0] - gusts[:, k] + rng.normal(0, noise, (n, 3))
         air = dict(zip(("airspeed", "alpha", "beta"), air_data(velocity), strict=True))
         tables.append(pd.DataFrame({"time": STEP * np.arange(n), "flight": f"flight {k}", **air}))
-    ground = {"v_north": np.cos(heading), "v_east": np.sin(heading), "v_down": 0.0}
-    ground = {name: (SPEED + 3.0) * part for name, part in ground.items()}
-    return pd.concat(tables, ignore_index=True).assign(**ground, phi=0.0, theta=0.0, psi=heading)
+    speed = SPEED + 3.0
+    return pd.concat(tables, ignore_index=True).assign(
+        v_north=speed * np.cos(heading), v_east=speed * np.sin(heading), v_down=0.0,
+        phi=0.0, theta=0.0, psi=heading,
+    )  # fmt: skip
 
 
 def gusts_of(turbulence, n, rng, n_flights=1, **options):

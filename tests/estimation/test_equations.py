@@ -57,7 +57,7 @@ def flight_of_sines(n=30):
     rng = default_rng(2)
     t = 0.02 * np.arange(n)[:, None]
     wave = lambda k: np.sin(2 * t + rng.uniform(0, 6, k))  # noqa: E731
-    attitude = np.swapaxes(euler_to_matrix(*(0.3 * wave(3) + np.array([0.1, 0.2, 1.0])).T), 1, 2)
+    attitude = np.swapaxes(euler_to_matrix(*(0.3 * wave(3) + [0.1, 0.2, 1.0]).T), 1, 2)
     thrust = wave(6) + 2
     thrust[:, 0] = 8 + 3 * wave(1)[:, 0]
     inputs = Inputs(0.1 * wave(3), thrust, np.full(n, 1.2))
@@ -66,7 +66,7 @@ def flight_of_sines(n=30):
         0,
         np.arange(n),
         t[:, 0],
-        0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
+        0.3 * wave(3) + [17.0, 1.0, 1.5],
         attitude,
         measured,
         measured[:, :3],
@@ -205,8 +205,7 @@ def test_roll_of_the_air_is_no_roll_of_the_aircraft():
     """The moment is that of the rate relative to the air; gyros and gyroscopic moments are not."""
     record, layout, value, _ = flight_of_sines()
     model = layout.model(value)
-    rng = default_rng(1)
-    still = np.concatenate([[17.0, 1.0, 1.5], rng.normal(0, 0.3, 3), np.zeros(7)])[None]
+    still = np.concatenate([[17.0, 1.0, 1.5], default_rng(1).normal(0, 0.3, 3), np.zeros(7)])[None]
     rolling = still.copy()
     rolling[:, -1] = 0.2
     inputs = record.inputs.part(slice(1))
@@ -367,8 +366,8 @@ def test_covariances_in_named_steps_are_those_by_hand():
     assert_allclose(inflate(covariance, 2.0), [[16.0, 4.0], [4.0, 36.0]])
     assert_allclose(add_model_error(covariance, np.array([-5.0]), 0.2), [[5.0, 1.0], [1.0, 9.0]])
     prior_std = np.array([1.0, 2.0])
-    assert_allclose(without_estimate(np.array([3.0, -1.0]), prior_std), [[10.0, -3.0], [-3.0, 5.0]])
-    assert misfit_of(np.array([3.0, 1.0])) == pytest.approx(np.sqrt(5))
+    assert_allclose(without_estimate([3.0, -1.0], prior_std), [[10.0, -3.0], [-3.0, 5.0]])
+    assert_allclose(misfit_of(np.array([3.0, 1.0])), np.sqrt(5))
     assert misfit_of(np.array([0.5, -0.1])) == 1.0
 
 
@@ -388,7 +387,7 @@ def test_error_of_a_slope_covers_its_attenuation():
 
 
 def test_a_search_that_still_moves_has_the_spread_of_its_last_passes():
-    path = [np.array([1.0, 5.0]), np.array([3.0, 1.0]), np.array([2.0, 3.0])]
+    path = [[1.0, 5.0], [3.0, 1.0], [2.0, 3.0]]
     assert_allclose(spread_of(path), np.array([[2.0, -4.0], [-4.0, 8.0]]) / 3)
 
 

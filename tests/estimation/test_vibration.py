@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose, assert_array_less
 from skdgp.estimation import vibration_covariance
 
 NOISE = np.array([0.1, 0.1, 0.1, 0.005, 0.005, 0.005])  # [m/s^2], [rad/s]
-SIZES = np.array([2.0, 1.5, 2.5, 0.03, 0.05, 0.02])
-PHASES = np.array([0.3, 1.9, -2.5, 0.8, -1.2, 2.9])
-MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+SIZES = [2.0, 1.5, 2.5, 0.03, 0.05, 0.02]
+PHASES = [0.3, 1.9, -2.5, 0.8, -1.2, 2.9]
+MIRROR = [1.0, -1.0, 1.0, -1.0, 1.0, -1.0]
 STEP, N_ROWS, RATE = 0.02, 4000, 50.0
 
 
@@ -22,8 +22,7 @@ def oscillation(frequency, sizes=SIZES):
 
 def covariance_of(shake, seen_by_path=0.0):
     """Return what is found in noisy readings of an oscillation, of which the path sees a part."""
-    noise = default_rng(0).normal(0.0, NOISE, shake.shape)
-    readings = shake + noise
+    readings = shake + default_rng(0).normal(0.0, NOISE, shake.shape)
     return vibration_covariance(readings, -seen_by_path * readings, RATE)
 
 
@@ -50,7 +49,7 @@ def test_of_a_mirrored_flight():
 def test_none_of_noise_motion_and_errors_of_the_attitude():
     rng = default_rng(1)
     noise = rng.normal(0.0, NOISE, (N_ROWS, 6))
-    one_axis = oscillation(9.0, sizes=np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
+    one_axis = oscillation(9.0, sizes=[0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
     attitude = rng.normal(0.0, 10 * NOISE, (N_ROWS, 6)) * [0, 0, 0, 1, 1, 1]
     two_noisy = rng.normal(0.0, NOISE, (N_ROWS, 6)) * [1, 10, 10, 1, 1, 1]
     still = np.zeros_like(noise)

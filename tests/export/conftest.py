@@ -4,7 +4,6 @@ import warnings
 from functools import cache
 from typing import Any, NamedTuple
 
-import joblib
 import numpy as np
 import pandas as pd
 import pytest
@@ -51,11 +50,12 @@ def textbook_flight(n, seed, noise=1e-3):
     Y[:, 0] += 4 * alpha**2
     Y[:, 2] += 0.1 * np.sin(20 * alpha)
     Y[:, 4] += alpha * elevator
-    flight = pd.DataFrame({"time": 0.1 * np.arange(n), "airspeed": speed, "alpha": alpha})
-    elevons = {"elevon_left": elevator + aileron, "elevon_right": elevator - aileron}
-    q = q_hat * 2 * speed / AIRCRAFT.chord
-    flight = flight.assign(beta=beta, rudder=rudder, q=q, **elevons)
-    return flight, pd.DataFrame(Y, columns=COEFFICIENTS)
+    flight = {
+        "time": 0.1 * np.arange(n), "airspeed": speed, "alpha": alpha, "beta": beta, "rudder": rudder,
+        "q": q_hat * 2 * speed / AIRCRAFT.chord,
+        "elevon_left": elevator + aileron, "elevon_right": elevator - aileron,
+    }  # fmt: skip
+    return pd.DataFrame(flight), pd.DataFrame(Y, columns=COEFFICIENTS)
 
 
 def pipeline_of(regressor, aircraft=AIRCRAFT, **options):
@@ -69,13 +69,13 @@ IDENTIFIED = "identified"
 
 
 @pytest.fixture(scope="session")
-def identified(once, first_minute, cut_short):
+def identified(made_once, first_minute, cut_short):
     """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen.
 
     The default model of few rows, sparse.
     """
 
-    def write(folder):
+    def make():
         data = first_minute()
         train, test = data.train[data.train["time"] < 8], data.test[data.test["time"] < 4]
         regressor = DependentGPRegressor(
@@ -84,11 +84,9 @@ def identified(once, first_minute, cut_short):
         options = {"test": test, "samples": 120, "regressor": regressor, "horizon": 1.0}
         with cut_short(), warnings.catch_warnings(action="ignore"):  # of few rows
             found = identify(train, data.aircraft, **options)
-        joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
+        return Bunch(pipeline=found.pipeline, aircraft=found.aircraft, flight=test)
 
-    path = once("identified to export", write) / "model.joblib"
-    pipeline, aircraft, flight = joblib.load(path)
-    return Bunch(pipeline=pipeline, aircraft=aircraft, flight=flight)
+    return made_once("identified to export", make)
 
 
 @pytest.fixture(scope="session")

@@ -28,12 +28,6 @@ def done(folder, *words):
     return run.stdout
 
 
-def outcome(folder):
-    """Compile the test of a model strictly, and run it."""
-    done(folder, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
-    return subprocess.run("./test", cwd=folder, capture_output=True, text=True, check=False)
-
-
 class Library:
     """The functions of aero.c, called from Python."""
 
@@ -64,11 +58,11 @@ def test_equals_the_pipeline(written, read, tmp_path):
     found = np.array([library("predict", x, P, P) for x in written.X])
     written.assert_mean(found[:, 0])
     written.assert_std(found[:, 1])
-    written.assert_slopes(np.array([library("gradient", x, (P, d))[0] for x in written.X]))
+    written.assert_slopes([library("gradient", x, (P, d))[0] for x in written.X])
     limits = (ctypes.c_double * (2 * d)).in_dll(library.library, "aero_limits")
     assert_array_equal(np.reshape(limits, (2, d)), model.limits)
     sources = written.flight[:50][list(model.columns)]
-    inputs = np.array([library("inputs", row, d)[0] for row in sources.to_numpy(float)])
+    inputs = [library("inputs", row, d)[0] for row in sources.to_numpy(float)]
     assert_allclose(inputs, read(model).regressors(sources), rtol=1e-12, atol=1e-14)
     header = (tmp_path / "aero.h").read_text()
     assert ", ".join(model.columns) in header
@@ -98,6 +92,7 @@ WRONG = {
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_model_that_differs_from_its_pipeline_fails_its_test(case_of, tmp_path, wrong):
     export_model(tmp_path, WRONG[wrong](case_of("identified").model), "c")
-    run = outcome(tmp_path)
+    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 1
     assert "FAILED" in run.stdout

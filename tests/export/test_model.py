@@ -30,8 +30,7 @@ def test_equals_the_pipeline(case, noise, read):
 
 
 def test_regressors_are_those_of_the_pipeline(fitted, portable_of, flight, read):
-    pipeline = fitted("trend").pipeline
-    expected = np.asarray(pipeline[:-2].transform(flight))
+    expected = np.asarray(fitted("trend").pipeline[:-2].transform(flight))
     assert_allclose(read(portable_of("trend")).regressors(flight), expected, rtol=1e-12)
 
 
@@ -115,8 +114,7 @@ def test_any_scaling_is_exported(flight, portable_of, read):
         MaxAbsScaler(),
     )  # fmt: skip
     model = learned([RegressorSelector(["alpha", "beta"]), *scalers, START], flight)
-    portable = portable_model(model, portable_of("trend").aircraft)
-    reader = read(portable)
+    reader = read(portable_model(model, portable_of("trend").aircraft))
     mean, _ = reader.predict(reader.regressors(flight))
     assert_allclose(mean, model.predict(flight), rtol=1e-9, atol=1e-9)
 

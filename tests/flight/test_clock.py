@@ -22,12 +22,7 @@ from skdgp.preprocessing import (
 MISSING = [None, np.nan, pd.NA, pd.NaT, "", "  "]
 DTYPES = ["string", "category", *["str"] * (int(pd.__version__.split(".")[0]) > 2)]
 N = 60
-NAMES = [
-    *("alpha", "beta", "ax", "ay"),
-    *RATES,
-    *EULER,
-    *VELOCITY,
-]
+NAMES = ["alpha", "beta", "ax", "ay", *RATES, *EULER, *VELOCITY]
 
 
 def table(flight):

@@ -28,8 +28,9 @@ def log(seed=0, name="sortie"):
     return table.assign(flight=name, density=1.2, elevator=elevator, throttle=0.6)
 
 
-def faults(table):
-    return inspect_flight(table)[["channel", "kind"]].values.tolist()
+def faults(table, *more):
+    """Return channel and kind of each fault of a table, and more columns."""
+    return inspect_flight(table)[["channel", "kind", *more]].values.tolist()
 
 
 def checked(table, words=None):
@@ -169,8 +170,7 @@ def test_what_no_aircraft_has_is_impossible(channel, possible, impossible):
 
 @pytest.mark.parametrize(("n", "is_rare"), [(119, True), (131, False)])
 def test_impossible_values_in_more_than_a_twentieth_are_of_another_unit(n, is_rare):
-    found = faults(spoilt("throttle", range(n), 99.0))
-    assert (["throttle", "impossible"] in found) == is_rare
+    assert (["throttle", "impossible"] in faults(spoilt("throttle", range(n), 99.0))) == is_rare
 
 
 def test_channels_that_are_ignored_stay_as_they_are():
@@ -226,14 +226,12 @@ class TestClock:
 def test_targets_are_not_observed_where_sensors_were_faulty():
     expected = aerodynamic_coefficients(log(), GLIDER, thrust=None)
     stuck = held("q", 700, 800)
-    words = "q is stuck .* coefficients are not known there"
-    with pytest.warns(FlightDataWarning, match=words):
+    with pytest.warns(FlightDataWarning, match="q is stuck .* coefficients are not known there"):
         Y = aerodynamic_coefficients(stuck, GLIDER, thrust=None)
     assert Y.index[Y.isna().any(axis=1)].tolist() == list(range(701, 801))
     far = np.abs(np.arange(len(Y)) - 750) > 400
     assert_allclose(Y[far], expected[far], atol=0.01 * expected.std().max())
-    believed = aerodynamic_coefficients(stuck, GLIDER, thrust=None, ignore=["q"])
-    assert believed.notna().all(axis=None)
+    assert aerodynamic_coefficients(stuck, GLIDER, thrust=None, ignore=["q"]).notna().all(axis=None)
 
 
 def attitude_of(table):
@@ -265,10 +263,7 @@ def test_dead_sensors_by_what_cannot_move_without_them():
 @pytest.mark.parametrize(("channel", "length"), [("airspeed", 8), ("p", 1), ("alpha", 4)])
 def test_zeros_in_place_of_missing_samples(channel, length):
     rows = np.concatenate([np.arange(k, k + length) for k in range(50, 2300, 70)])
-    found = inspect_flight(spoilt(channel, rows, 0.0))
-    assert found[["channel", "kind", "n_samples"]].values.tolist() == [
-        [channel, "spike", len(rows)]
-    ]
+    assert faults(spoilt(channel, rows, 0.0), "n_samples") == [[channel, "spike", len(rows)]]
 
 
 @pytest.mark.parametrize("channel", ["p", "ax", "beta"])
@@ -283,19 +278,15 @@ def test_a_dead_band_and_a_limit_are_no_missing_samples(channel):
 def test_a_sensor_that_is_cut_off_measures_nothing_there(channel):
     values = log()[channel]
     low, high = values.quantile([0.1, 0.95])
-    found = inspect_flight(log().assign(**{channel: values.clip(low, high)}))
-    assert found[["channel", "kind", "n_samples"]].values.tolist() == [
-        [channel, "clipped", 240],
-        [channel, "clipped", 120],
-    ]
+    found = faults(log().assign(**{channel: values.clip(low, high)}), "n_samples")
+    assert found == [[channel, "clipped", 240], [channel, "clipped", 120]]
 
 
 def test_a_bank_angle_that_is_held_is_not_cut_off():
     table = log()
-    bank = np.abs(((table["time"] - table["time"][0]) % 8.0) - 4.0) / 2.0
+    bank = np.abs(table["time"] % 8.0 - 4.0) / 2.0
     for channel in ("phi", "airspeed"):
-        held = table.assign(**{channel: bank.clip(upper=0.5)})
-        assert [channel, "clipped"] not in faults(held)
+        assert [channel, "clipped"] not in faults(table.assign(**{channel: bank.clip(upper=0.5)}))
 
 
 def test_dropouts_to_the_same_value_are_found_each_time():

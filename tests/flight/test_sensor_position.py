@@ -13,14 +13,8 @@ from scipy.spatial.transform import Rotation
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.preprocessing import FlightPathReconstruction
 
-ARM = np.array([0.5, -0.2, 0.3])
+ARM = [0.5, -0.2, 0.3]
 STEP = 0.01
-
-
-def at_rest():
-    """Return a flight of a body at rest, without gravity."""
-    time = np.arange(0, 4, STEP)
-    return pd.DataFrame({"time": time, **dict.fromkeys((*RATES, *FORCES), 0.0)})
 
 
 def tumbling(arm):
@@ -65,7 +59,8 @@ def test_sensors_at_the_centre_or_at_an_unknown_place_read_as_they_are(stated):
     ("x", "expected"), [(200.0, "expected metres"), (np.inf, "Got infinite values")]
 )
 def test_columns_that_are_no_metres_are_refused(x, expected):
-    flight = at_rest().assign(az=-9.8, airspeed=20.0, density=1.2)
+    level = dict.fromkeys([*RATES, *FORCES], 0.0) | {"az": -9.8, "airspeed": 20.0, "density": 1.2}
+    flight = pd.DataFrame({"time": np.arange(0, 4, STEP), **level})
     with pytest.raises(ValueError, match=expected):
         aerodynamic_coefficients(placed(flight, [x, 0.0, 0.0]), GLIDER, thrust=None)
 

@@ -66,7 +66,7 @@ class TestSmooth:
         wave = np.sin(2 * np.pi * 2.0 * time)
         middle = slice(1000, -1000)
         gain = rms(smooth(wave, time, cutoff=2.0)[middle]) / rms(wave[middle])
-        assert gain == pytest.approx(0.5, abs=2e-3)
+        assert_allclose(gain, 0.5, rtol=0, atol=2e-3)
 
     def test_auto_removes_most_noise_and_keeps_the_signal(self):
         time, truth, noisy = noisy_sine()

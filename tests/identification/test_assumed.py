@@ -119,8 +119,8 @@ def test_a_table_without_thrust():
     assert "servos" not in found.options
     assert "THRUST_IN_COEFFICIENTS" in codes(found.findings)
     sizes = found.findings[0].numbers["sizes"]
-    assert sizes["wing area [m^2]"] == pytest.approx((0.432, 0.35 * 0.432), rel=0.01)
-    assert sizes["Iyy [kg m^2]"] == pytest.approx((0.208, 0.39 * 0.208), rel=0.01)
+    assert_allclose(sizes["wing area [m^2]"], (0.432, 0.35 * 0.432), rtol=0.01)
+    assert_allclose(sizes["Iyy [kg m^2]"], (0.208, 0.39 * 0.208), rtol=0.01)
     assert "mass" not in found.assumed[0]
     assert {*found.verdict.warnings}.isdisjoint(found.assumed)
 
@@ -148,8 +148,7 @@ def test_an_engine_that_ran_only_in_rows_that_are_left_out_is_no_engine():
 
 @pytest.mark.usefixtures("no_mechanics")
 def test_nothing_was_assumed_of_what_was_told():
-    inertia = np.diag([0.1, 0.15, 0.2])
-    told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=inertia)
+    told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2]))
     flight = table().assign(thrust_x=1.0)
     other = flight[120:].assign(alpha=-flight["alpha"])
     assert briefly(flight[:120], told, test=other).assumed == []
@@ -187,8 +186,7 @@ class TestALogAMassAndASpan:
     def test_the_model_reads_other_logs_in_its_unit(self, found, log, tmp_path):
         found.save(tmp_path)
         model = load_model(tmp_path / "model.joblib")
-        again = validate(model, log)
-        assert again.evaluations[0].table["elevator"].abs().max() > 0.3
+        assert validate(model, log).evaluations[0].table["elevator"].abs().max() > 0.3
         point = trim(model.pipeline, model.aircraft, 24.0, climb=None, thrust=None)
         derivatives = stability_derivatives(
             model.pipeline, model.aircraft, point, n_paths=0, thrust=None
@@ -214,19 +212,17 @@ def test_no_elevator():
     flight = table(200).drop(columns="elevator")
     both = flight.assign(elevon_left=0.1 * flight["alpha"], elevon_right=0.1)
     for of_aircraft, n_told in ((flight, 1), (both, 0)):
-        found = briefly(of_aircraft, UNKNOWN)
-        told = [finding.code.name for finding in found.findings]
+        told = [finding.code.name for finding in briefly(of_aircraft, UNKNOWN).findings]
         assert told.count("NO_ELEVATOR") == n_told
 
 
 @pytest.mark.usefixtures("no_mechanics")
-def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_minute):
-    data = first_minute()
-    flight = data.train[data.train["flight"] == "latlon"][1200:].reset_index(drop=True)
+def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_minute, latlon):
+    flight = latlon[1200:].reset_index(drop=True)
     left = flight.pop("elevon_left")
     right = flight.pop("elevon_right")
     opposite = flight.drop(columns="psi").assign(aileron=(right - left) / 2)
-    found = briefly({"one": opposite}, data.aircraft, test=opposite[:200])
+    found = briefly({"one": opposite}, first_minute().aircraft, test=opposite[:200])
     contradictions = [each for each in found.findings if each.code.name == "CONTRADICTION"]
     # and of its 10 s that are tested
     assert [each.flight for each in contradictions] == ["one", "latlon"]

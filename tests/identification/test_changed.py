@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from made_flights import lasting
 from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.signal import lsim
 from scipy.stats import kstest
 from sklearn.linear_model import LinearRegression
@@ -124,7 +125,7 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     assert p_values["Cm"] < 0.01
     assert p_values["whole"] < 0.05
     row = result.derivatives.loc[("iced", "Cm_alpha")]
-    assert abs(row["change"] - 0.2) < 3 * row["std"]
+    assert_allclose(row["change"], 0.2, rtol=0, atol=3 * row["std"])
     (finding,) = result.findings
     assert (finding.code.name, finding.flight) == ("CHANGED", "iced")
     assert finding.numbers["p"] == p_values["whole"]
@@ -133,9 +134,9 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     (finding,) = unchanged.findings
     assert finding.code.name == "NO_CHANGE"
     row = unchanged.derivatives.loc[("same", "Cm_elevator")]
-    assert row["value"] == pytest.approx(SLOPES[2, 4], rel=0.1)
+    assert_allclose(row["value"], SLOPES[2, 4], rtol=0.1)
     hidden = 1.96 * row["std"] / abs(row["value"])  # half of the 95 % band
-    assert finding.numbers["hidden"]["Cm_elevator"] == pytest.approx(hidden, rel=1e-3)
+    assert_allclose(finding.numbers["hidden"]["Cm_elevator"], hidden, rtol=1e-3)
 
 
 def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
@@ -149,8 +150,7 @@ def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
         return X.assign(elevator=elevator), Y
 
     assert alarms(changes(model, several(slow, 0.0)), "Cm") < 0.2
-    other = changes(model, several(slow, 0.2))
-    assert (other.p_values["Cm"] < 0.01).all()
+    assert (changes(model, several(slow, 0.2)).p_values["Cm"] < 0.01).all()
 
 
 def with_noise_of_alpha(seed, of_q):
@@ -179,7 +179,7 @@ def test_slopes_that_noise_flattens_are_no_change_and_a_change_is_found(model, o
     other = changes(model, flights, change=0.5)
     assert alarms(other, "Cm") > 0.8
     change = other.derivatives.xs("Cm_alpha", level="derivative")["change"]
-    assert change.mean() == pytest.approx(0.5, rel=0.2)
+    assert_allclose(change.mean(), 0.5, rtol=0.2)
 
 
 def test_an_effect_that_no_regressor_holds_widens_what_instruments_tell():
@@ -274,7 +274,7 @@ def test_more_drag_alone_is_found(model):
     result = changes(model, {"pod": (X, Y)})
     assert result.p_values.loc["pod", "whole"] < 0.01
     row = result.derivatives.loc[("pod", "CX")]
-    assert row["change"] == pytest.approx(-0.02, abs=3 * row["std"])
+    assert_allclose(row["change"], -0.02, rtol=0, atol=3 * row["std"])
 
 
 @pytest.mark.parametrize(("factor", "drift"), [(0.9, 0.0), (1.1, 0.0), (1.1, 0.1)])
@@ -291,15 +291,14 @@ def test_one_factor_of_all_forces_is_found_with_its_size(model, factor, drift):
     result = changes_of(model, unexplained)
     assert alarms(result, "forces") > 0.8
     row = result.derivatives.xs("forces", level="derivative")
-    assert row["change"].mean() == pytest.approx(factor - 1, abs=0.02)
+    assert_allclose(row["change"].mean(), factor - 1, rtol=0, atol=0.02)
     assert "CHANGED" in {finding.code.name for finding in result.findings}
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_a_change_only_if_its_effect_is(model):
     assert most_alarms(changes(model, several(flight_with_one_pulse))) < 0.2
-    other = changes_of(model, residuals_of(model, several(flight_with_one_pulse, 1.0)))
+    other = changes(model, several(flight_with_one_pulse, 1.0))
     assert alarms(other, "Cm") > 0.5
     found = other.derivatives.xs("Cm_elevator", level="derivative")["change"]
-    assert found.mean() == pytest.approx(1.0, abs=0.1)
-    larger = changes_of(model, residuals_of(model, several(flight_with_one_pulse, 2.0)))
-    assert alarms(larger, "Cm") == 1.0
+    assert_allclose(found.mean(), 1.0, rtol=0, atol=0.1)
+    assert alarms(changes(model, several(flight_with_one_pulse, 2.0)), "Cm") == 1.0

@@ -21,17 +21,22 @@ from skdgp.preprocessing import ElevonSplitter
 QUICK = {"n_latent": 1, "max_iter": 4, "input_noise": "learned", "random_state": 0}
 
 
+def first_rows(table, n):
+    """Return the first rows of each flight."""
+    return table.groupby("flight", observed=True).head(n).reset_index(drop=True)
+
+
 @pytest.fixture(scope="module")
 def flights(first_minute):
     """Return the example flights, of those to learn from the first 50 s."""
     flights = first_minute()
-    flights.train = flights.train.groupby("flight", observed=True).head(2000).reset_index(drop=True)
+    flights.train = first_rows(flights.train, 2000)
     return flights
 
 
 @pytest.fixture(scope="module")
 def model(flights, cut_short):
-    train = flights.train.groupby("flight", observed=True).head(400).reset_index(drop=True)
+    train = first_rows(flights.train, 400)
     targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 60)
     pipeline = make_identification_pipeline(
         flights.aircraft, regressor=DependentGPRegressor(**QUICK)
@@ -43,7 +48,7 @@ def model(flights, cut_short):
 @pytest.fixture(scope="module")
 def few(flights):
     """Return a few seconds of each flight, and some of their coefficients."""
-    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
+    rows = first_rows(flights.train, 300)
     return rows, thin_targets(aerodynamic_coefficients(rows, flights.aircraft), 100)
 
 
@@ -79,15 +84,14 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
     quick = DependentGPRegressor(**QUICK | {"structure": "joint", "max_iter": 2})
     turned = np.diag([1.0, -1.0, 1.0])
     record = flights.aircraft.to_dict()
-    record["inertia"] = (turned @ np.array(record["inertia"]) @ turned).tolist()
+    record["inertia"] = turned @ record["inertia"] @ turned
     record["propeller"]["rotation"] *= -1
     aircraft = {1: flights.aircraft, -1: Aircraft.from_dict(record)}
 
     def seen(table, side):
         table = table.assign(**{name: side * table[name] for name in ODD if name in table})
-        left = "elevon_left"
-        right = "elevon_right"
-        return table if side > 0 else table.assign(**{left: table[right], right: table[left]})
+        exchanged = {"elevon_left": "elevon_right", "elevon_right": "elevon_left"}
+        return table if side > 0 else table.rename(columns=exchanged)
 
     found = {}
     for side in (1, -1):
@@ -106,7 +110,7 @@ class TestPredict:
         """The variance that regressors carry is multiplied by the gusts of the flight over those of the fit."""
         X, ratio, *_ = flight_regressors(model, test_flight)
         reconstruction = model["flightpathreconstruction"]
-        gust = reconstruction.transform(test_flight)["gust"].to_numpy()
+        gust = reconstruction.transform(test_flight)["gust"]
         fit = reconstruction.gust_std_
         assert_allclose(ratio, (gust**2 + 0.1**2) / (fit**2 + 0.1**2), rtol=1e-9)
         assert not np.allclose(ratio, 1.0, rtol=0.02)  # another flight, other air
@@ -125,7 +129,7 @@ class TestPredict:
             reconstruction="passthrough",
             regressor=LinearRegression(),
         ).fit(flight, pd.DataFrame({"CZ": -4 * flight["alpha"]}))
-        assert fitted.seconds_ == pytest.approx(130, rel=1e-3)
+        assert_allclose(fitted.seconds_, 130, rtol=1e-3)
 
 
 def test_nothing_is_learned_before_the_servos_forget_what_was_not_logged(flights, few):
@@ -231,8 +235,7 @@ def test_coefficients_are_asked_for(model, test_flight):
 @pytest.mark.usefixtures("no_mechanics")
 def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     """To the bit, also of a clone and of a saved model."""
-    train, aircraft = flights.train.groupby("flight", observed=True).head(400), flights.aircraft
-    train = train.reset_index(drop=True)
+    train, aircraft = first_rows(flights.train, 400), flights.aircraft
     regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
     options = {"regressor": regressor, "samples": 100}
     found = identify(train, aircraft, test=test_flight, horizon=1.0, **options).pipeline

@@ -283,7 +283,7 @@ class Flight:
 
     def at(self, time, *names):
         """Return channels at some times, (n, k)."""
-        return np.column_stack([self[name](np.asarray(time)) for name in names])
+        return np.column_stack([self[name](time) for name in names])
 
     def log(self, log, name, rate, *, delay=0.0, factor=1.0, code=None, **fields):
         """Add a topic: channels by name times a factor, functions, values as they are; of a type, if they have none."""
@@ -371,9 +371,8 @@ def ardupilot(flight):
     def yaw(t):
         return "C", flight["psi"](t) * DEGREE % 360
 
-    gyro = {"GyrX": "p", "GyrY": "q", "GyrZ": "r"}
     velocity = {"VN": "v_north", "VE": "v_east", "VD": "v_down"}
-    add("IMU", 100, I=zero, **gyro, AccX="ax", AccY="ay", AccZ="az")
+    add("IMU", 100, I=zero, GyrX="p", GyrY="q", GyrZ="r", AccX="ax", AccY="ay", AccZ="az")
     add("ATT", 50, delay=0.004, code="c", factor=DEGREE, Roll="phi", Pitch="theta", Yaw=yaw)
     add("ARSP", 20, I=zero, Airspeed=flight.equivalent_airspeed, H=("B", 1))
     add("AOA", 20, factor=DEGREE, AOA="alpha", SSA="beta")
@@ -442,19 +441,22 @@ def tlog(flight, mavlink, vehicle):
         message = vars(mavlink)[f"MAVLink_{kind}_message"](*values)
         sent.append((time, message.pack(by)))
 
-    parameters = {b"AHRS_TRIM_X": 0.0, b"AHRS_TRIM_Y": 0.0}
-    parameters |= {b"AIRSPEED_MIN": 12.0, b"SERVO2_FUNCTION": 19.0, b"SERVO4_FUNCTION": 21.0}
+    parameters = {
+        b"AHRS_TRIM_X": 0.0, b"AHRS_TRIM_Y": 0.0, b"AIRSPEED_MIN": 12.0, b"SERVO2_FUNCTION": 19.0,
+        b"SERVO4_FUNCTION": 21.0,
+    }  # fmt: skip
     for name, value in parameters.items():
         send(flight.BEGIN, "param_value", name, value, 9, 3, 0)
     for t in flight.time(1):
         send(t, "heartbeat", 1, 3, 128, 0, 0, 3)
         send(t, "heartbeat", 6, 8, 0, 0, 0, 3, by=station)
     time = flight.time(10)
-    channels = pd.DataFrame(flight.at(time, *flight.SIZES), columns=[*flight.SIZES])
-    speed, pressure = flight.equivalent_airspeed(time), flight.pressure(time)
-    for now in channels.assign(
-        time=time, equivalent_airspeed=speed, pressure=pressure
-    ).itertuples():
+    channels = pd.DataFrame(flight.at(time, *flight.SIZES), columns=[*flight.SIZES]).assign(
+        time=time,
+        equivalent_airspeed=flight.equivalent_airspeed(time),
+        pressure=flight.pressure(time),
+    )
+    for now in channels.itertuples():
         for kind, values in telemetry(now).items():
             send(now.time, kind, *values)
     sent.sort(key=lambda each: each[0])

@@ -169,5 +169,4 @@ def test_case(tmp_path, text, expected):
     ],
 )
 def test_units(read, name, factor):
-    table = read(f"time,{name}\n0,40\n0.1,50\n")
-    assert_allclose(table.iloc[:, -1], [40 * factor, 50 * factor])
+    assert_allclose(read(f"time,{name}\n0,40\n0.1,50\n").iloc[:, -1], [40 * factor, 50 * factor])

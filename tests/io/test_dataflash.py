@@ -128,13 +128,12 @@ class TestDamage:
 
 
 def test_a_log_in_text_is_refused(refused):
-    text = "FMT, 129, 23, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ"
-    refused("in text", text, "sortie.log")
+    refused("in text", "FMT, 129, 23, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ", "sortie.log")
 
 
 def test_a_parameter_that_changes_counts_as_in_the_middle(read, dataflash):
     """Once in flight, and once on the bench after it."""
     log = ticks(dataflash(SERVO1_REVERSED=0.0, SERVO1_TRIM=1500.0), *(10**6 * np.arange(10, 60)))
-    for time, name, value in ((20, b"SERVO1_TRIM", 1520.0), (58, b"SERVO1_REVERSED", 1.0)):
-        log.rows("PARM", "QNf", "TimeUS,Name,Value", [(10**6 * time, name, value)])
+    changes = (20_000_000, b"SERVO1_TRIM", 1520.0), (58_000_000, b"SERVO1_REVERSED", 1.0)
+    log.rows("PARM", "QNf", "TimeUS,Name,Value", changes)
     assert read(log).parameters == {"SERVO1_REVERSED": 0.0, "SERVO1_TRIM": 1520.0}

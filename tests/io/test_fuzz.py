@@ -83,8 +83,8 @@ def survives(path, n_bytes):
             warnings.filterwarnings("ignore", message, UserWarning)
         warnings.simplefilter("ignore", FlightDataWarning)
         try:
-            options = {"airborne": False}
-            check(read_flight(path, **(options if path.suffix in AUTOPILOTS else {})), n_bytes)
+            options = {"airborne": False} if path.suffix in AUTOPILOTS else {}
+            check(read_flight(path, **options), n_bytes)
             str(inspect_log(path))
         except FlightReadError:  # any other failure fails the test
             return "refused"

@@ -8,6 +8,7 @@ import pytest
 from flight_columns import EULER, FORCES, RATES, VELOCITY
 from made_flights import make_flight
 from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp.identification import named_flights
 from skdgp.io import FlightReadError, inspect_log, read_flight
@@ -30,20 +31,18 @@ class TestSummary:
         (flight,) = summary.flights.itertuples()
         time = read_flight(whole).time
         assert (flight.begin, flight.end) == (time.iloc[0], time.iloc[-1])
-        assert flight.airspeed == pytest.approx(18, abs=1)
+        assert_allclose(flight.airspeed, 18, rtol=0, atol=1)
         rates = summary.columns["rate"]
-        assert rates["p"] == pytest.approx(200, rel=1e-3)
-        assert rates["altitude"] == pytest.approx(10, rel=1e-3)
-        topic = summary.topics.loc["vehicle_acceleration"]
-        assert topic["rate"] == pytest.approx(100, rel=1e-3)
+        assert_allclose(rates["p"], 200, rtol=1e-3)
+        assert_allclose(rates["altitude"], 10, rtol=1e-3)
+        assert_allclose(summary.topics.loc["vehicle_acceleration", "rate"], 100, rtol=1e-3)
         physics = summary.columns["physics"]
         assert set(physics[[*EULER, "q"]]) == {"confirmed"}
         assert physics["rudder"] == ""
 
     def test_a_multicopter_is_called_one(self, write, ulog):
         t = np.arange(0, 20, 0.02)
-        log = ulog(MAV_TYPE=2)
-        quad = write(log.gyros(t, np.sin(t)))
+        quad = write(ulog(MAV_TYPE=2).gyros(t, np.sin(t)))
         refusal = inspect_log(quad).remarks[-1]
         assert "a multicopter, but expected a fixed wing" in refusal
         assert "airborne" not in refusal
@@ -93,7 +92,7 @@ def test_what_was_not_measured_contradicts_nothing(write, flight):
 
 class TestCommand:
     def test_json(self, command, whole, capsys):
-        assert command(["inspect", str(whole), "--json"]) == 0
+        assert command(["inspect", whole, "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["vehicle"] == "fixed wing"
 
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(
@@ -109,10 +108,10 @@ class TestCommand:
         for airborne in (True, False):
             flight = named_flights([whole], airborne=airborne)["whole"]
             assert len(flight.table) == len(read_flight(whole, airborne=airborne)) > 0
-        sizes = ["--mass", "3", "--span", "1.8", "-o", str(tmp_path / "out")]
-        assert command(["identify", str(whole), *sizes]) == 1
+        sizes = ["--mass", "3", "--span", "1.8", "-o", tmp_path / "out"]
+        assert command(["identify", whole, *sizes]) == 1
         assert "CA_SV_CSn_TRQ_R" in capsys.readouterr().err
-        assert command(["identify", str(whole), *sizes, "--airborne", "300", *SLOPES]) == 1
+        assert command(["identify", whole, *sizes, "--airborne", "300", *SLOPES]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
@@ -145,7 +144,7 @@ def test_servos_that_were_switched_off(bench):
     assert "RCOU.C2 sends no pulse, so there is no elevator" in said
     commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
     elevator = inspect_log(bench, servos=commands).columns.loc["elevator"]
-    assert elevator["rate"] == pytest.approx(25, rel=0.01)
+    assert_allclose(elevator["rate"], 25, rtol=0.01)
 
 
 def test_a_flight_that_is_in_a_table_twice(write):

@@ -39,8 +39,7 @@ def test_of_ardupilot(read, write, dataflash):
 def test_of_px4(read, ulog):
     log = ulog(**parameters("EKF2_IMU_POS"))
     log.topic("vehicle_acceleration", T, xyz=FORCE)
-    table = read(log, airborne=False)
-    assert_is_placed(table)
+    assert_is_placed(read(log, airborne=False))
 
 
 def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):

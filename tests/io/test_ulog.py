@@ -23,8 +23,7 @@ def read(parse, ulog):
 class TestWhatTheLogSaysOfItself:
     def test_firmware_and_parameters(self, parse, ulog):
         log = ulog(A_B_C=-3).topic("tick", [1e-6, 2e-6], x=0.5)
-        release = bytes([255, 2, 14, 1])
-        log.definitions.append(log.keyed("I", "uint32_t ver_sw_release", release))
+        log.definitions.append(log.keyed("I", "uint32_t ver_sw_release", bytes([255, 2, 14, 1])))
         found = parse(log)
         assert found.firmware == "PX4 v1.14.2"
         assert found.parameters == {"A_B_C": -3.0}

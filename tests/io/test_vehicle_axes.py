@@ -32,7 +32,7 @@ def dataflash_log(dataflash, flight, to_body, **parameters):
 
 def assert_in_body_axes(table, flight):
     for name in NAMES:
-        assert_allclose(table[name], flight[name](table["time"].to_numpy()), atol=5e-3)
+        assert_allclose(table[name], flight[name](table["time"]), atol=5e-3)
 
 
 @pytest.mark.parametrize("angles", [TRIM, dict.fromkeys(TRIM, 0.0)])
@@ -72,11 +72,8 @@ def test_single_sensors_of_px4_are_turned_as_the_board_is(read, ulog, flight, pl
 def test_telemetry_has_the_pitch_of_the_vehicle_again(read, mavlink_parameters, flight):
     """ArduPlane sends theta less PTCH_TRIM_DEG, unless bit 8 of FLIGHT_OPTIONS is set."""
     for options, shift in ((0, np.deg2rad(2.0)), (256, 0.0)):
-        sent = {b"PTCH_TRIM_DEG": 2.0, b"FLIGHT_OPTIONS": float(options)}
-        table = read(mavlink_parameters(sent))
-        assert_allclose(
-            table["theta"], flight["theta"](table["time"].to_numpy()) + shift, atol=2e-3
-        )
+        table = read(mavlink_parameters({b"PTCH_TRIM_DEG": 2.0, b"FLIGHT_OPTIONS": float(options)}))
+        assert_allclose(table["theta"], flight["theta"](table["time"]) + shift, atol=2e-3)
 
 
 @pytest.mark.parametrize(

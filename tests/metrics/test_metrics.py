@@ -63,17 +63,16 @@ class TestEveryMetric:
         y, mean, std = sample(n)
         y[default_rng(1).random(y.shape) < 0.3] = np.nan
         expected = [reference(metric, *column) for column in zip(y.T, mean.T, std.T, strict=True)]
-        got = value(metric, y, mean, std, multioutput="raw_values")
-        assert_allclose(got, expected, rtol=1e-12)
-        assert value(metric, y, mean, std) == pytest.approx(np.mean(expected), 1e-12)
+        assert_allclose(value(metric, y, mean, std, multioutput="raw_values"), expected, rtol=1e-12)
+        assert_allclose(value(metric, y, mean, std), np.mean(expected), rtol=1e-12)
 
     def test_shapes_and_types_do_not_matter(self, metric):
         y, mean, std = sample(outputs=1)
         flat = value(metric, y.ravel(), mean.ravel(), std.ravel())
         assert isinstance(flat, float)
-        assert value(metric, y, mean, std) == pytest.approx(flat, rel=1e-12)
+        assert_allclose(value(metric, y, mean, std), flat, rtol=1e-12)
         tables = map(pd.DataFrame, (y, mean, std))
-        assert value(metric, *tables) == pytest.approx(flat, rel=1e-12)
+        assert_allclose(value(metric, *tables), flat, rtol=1e-12)
 
     def test_output_never_observed(self, metric):
         y, mean, std = sample()
@@ -82,7 +81,7 @@ class TestEveryMetric:
             raw = value(metric, y, mean, std, multioutput="raw_values")
         assert np.isnan(raw).tolist() == [False, True, False]
         with pytest.warns(UndefinedMetricWarning):
-            assert value(metric, y, mean, std) == pytest.approx(np.mean(raw[[0, 2]]))
+            assert_allclose(value(metric, y, mean, std), np.mean(raw[[0, 2]]))
 
     def test_predictions_have_the_shape_and_are_finite(self, metric):
         y, mean, std = sample()
@@ -106,7 +105,7 @@ class TestMeaning:
         rng = default_rng(0)
         std = rng.uniform(0.1, 2, 20_000)
         y = rng.normal(0, std)
-        assert interval_coverage(y, 0 * y, std, level=level) == pytest.approx(level, abs=0.01)
+        assert_allclose(interval_coverage(y, 0 * y, std, level=level), level, rtol=0, atol=0.01)
 
 
 class NoisyModel(RegressorMixin, BaseEstimator):
@@ -125,13 +124,15 @@ class TestScorers:
     @pytest.mark.parametrize("routing", [False, True])
     def test_scores_do_not_depend_on_metadata_routing(self, routing):
         """A pipeline passes the scorers' wish for standard deviations on, whatever it would route."""
-        rng = default_rng(0)
-        X = rng.normal(size=(40, 1))
+        X = default_rng(0).normal(size=(40, 1))
         y = np.full(40, 1.5)
         models = [NoisyModel(), make_pipeline(StandardScaler(), NoisyModel())]
         density = -0.5 * np.log(2 * np.pi * 2.0**2) - 0.5 * (1.5 / 2.0) ** 2  # std 2, mean 0
-        wanted = {"log_predictive_density": density, "interval_coverage": 1.0}
-        wanted["neg_median_relative_error"] = -1.0
+        wanted = {
+            "log_predictive_density": density,
+            "interval_coverage": 1.0,
+            "neg_median_relative_error": -1.0,
+        }
         with config_context(enable_metadata_routing=routing):
             for model in models:
                 options = {"scoring": SCORERS, "cv": 2, "error_score": "raise"}
@@ -149,8 +150,7 @@ class TestScorers:
         for y, predicted in zip(Y.T, model.predict(X).T, strict=True):
             error = np.sqrt(np.nanmean((y - predicted) ** 2))
             expected.append(-error / np.nanstd(y))
-        found = SCORERS["neg_normalized_rmse"](model, X, Y)
-        assert found == pytest.approx(np.mean(expected))
+        assert_allclose(SCORERS["neg_normalized_rmse"](model, X, Y), np.mean(expected))
 
     def test_what_holds_transformers_is_asked_for_every_row(self):
         X = np.arange(50.0)[:, None]
@@ -161,7 +161,7 @@ class TestScorers:
             X, X[:, 0]
         )
         for estimator in (model, model[-1]):
-            assert SCORERS["neg_normalized_rmse"](estimator, X, y) == pytest.approx(0, abs=1e-9)
+            assert_allclose(SCORERS["neg_normalized_rmse"](estimator, X, y), 0, atol=1e-9)
 
     def test_std_is_demanded(self):
         model = LinearRegression().fit([[0.0], [1.0]], [0.0, 1.0])

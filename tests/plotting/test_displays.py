@@ -15,11 +15,10 @@ from skdgp.plotting import TimeHistoryDisplay
 
 def outputs(n=200, n_outputs=6):
     """Return time, measured, mean and std of outputs whose intervals are honest."""
-    rng = default_rng(0)
     time = np.arange(n) / 40.0
     mean = np.sin(time[:, None] * np.arange(1, n_outputs + 1))
     std = np.full((n, n_outputs), 0.2)
-    return time, mean + std * rng.normal(size=mean.shape), mean, std
+    return time, mean + std * default_rng(0).normal(size=mean.shape), mean, std
 
 
 def flight(n=400):
@@ -75,8 +74,7 @@ class TestEveryDisplay:
     def test_draws_into_a_given_figure_or_a_new_one_of_pyplot(self, make):
         before = set(plt.get_fignums())
         figure = Figure()
-        display = make(200, figure)
-        assert display.figure_ is figure
+        assert make(200, figure).figure_ is figure
         assert set(plt.get_fignums()) == before
         figure.canvas.draw()
         new = make(50, None)

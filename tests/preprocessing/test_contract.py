@@ -44,8 +44,10 @@ LEVELS = {
     "airspeed": (30, 0.7, 0),
 }
 # What stands still, and strangers: text, truth and an unknown column
-STILL = {"throttle": 0.5, "v_north": 30.0, "v_east": 1.0, "v_down": 0.0}
-STILL |= {"alpha_true": 0.0, "remark": "a word", "my_sensor": 1}
+STILL = {
+    "throttle": 0.5, "v_north": 30.0, "v_east": 1.0, "v_down": 0.0, "alpha_true": 0.0, "remark": "a word",
+    "my_sensor": 1,
+}  # fmt: skip
 
 
 def flight(name, seed):

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from flight_columns import RATES
+from flight_columns import RATES, SURFACES
 from log_errors import elsewhere, placed
 from made_flights import make_flight
 from numpy.random import default_rng
@@ -17,12 +17,6 @@ from skdgp.dynamics import Aircraft, Servos
 from skdgp.preprocessing import LagCorrector
 
 STEP = 0.025
-
-
-@pytest.fixture(scope="module")
-def latlon(first_minute):
-    train = first_minute().train
-    return train[train.flight == "latlon"].reset_index(drop=True)
 
 
 def corrected(table, lags="auto"):
@@ -44,30 +38,19 @@ def linear_aircraft(seed, air=0.0, surfaces=0.0, servos=0.0, seconds=60.0, width
     Sensors are late, and surfaces are the commands of servos with a first-order lag. Inputs are noise,
     smoothed over ``width`` samples.
     """
-    rng = default_rng(seed)
     names = {"p q r alpha beta elevator aileron rudder": (0, 1, 0)}
     waves = make_flight(names, round(seconds / STEP) + 160, STEP, width=width, seed=seed)
     time, p, q, r, alpha, beta, elevator, aileron, rudder = waves.to_numpy().T
-    accelerations = {
-        "p": 3 * aileron - p + beta,
-        "q": 2 * elevator - q - alpha,
-        "r": rudder - r + beta,
-    }
-    table = {
-        "time": time,
-        "ax": 0.1 * alpha**2,
-        "ay": -4 * beta + rudder,
-        "az": -9.8 - 9 * alpha - elevator,
-    }
-    for name, acceleration in accelerations.items():
-        table[name] = cumulative_trapezoid(acceleration, time, initial=0)
-    for name, values in {"elevator": elevator, "aileron": aileron, "rudder": rudder}.items():
-        deflection = CubicSpline(time, values)
-        table[name] = deflection(time - surfaces) + servos * deflection(time - surfaces, 1)
-    for name, values in {"alpha": alpha, "beta": beta}.items():
-        vane = CubicSpline(time, 0.1 * values)(time - air)
-        table[name] = vane + rng.normal(0, 0.02, time.size)
-    return pd.DataFrame(table)[80:-80].reset_index(drop=True)
+    forces = {"ax": 0.1 * alpha**2, "ay": -4 * beta + rudder, "az": -9.8 - 9 * alpha - elevator}
+    table = pd.DataFrame({"time": time, **forces})
+    accelerations = [3 * aileron - p + beta, 2 * elevator - q - alpha, rudder - r + beta]
+    table[RATES] = cumulative_trapezoid(accelerations, time, initial=0).T
+    deflections = CubicSpline(time, waves[SURFACES])
+    table[SURFACES] = deflections(time - surfaces) + servos * deflections(time - surfaces, 1)
+    vanes = CubicSpline(time, 0.1 * waves[["alpha", "beta"]])
+    noise = default_rng(seed).normal(0, 0.02, (2, time.size))
+    table[["alpha", "beta"]] = vanes(time - air) + noise.T
+    return table[80:-80].reset_index(drop=True)
 
 
 def found_in(table):
@@ -83,15 +66,15 @@ def tells_nothing(table):
 class TestEstimate:
     def test_clean_flights_have_no_lags_to_remove(self, latlon):
         lags = found_in(latlon)
-        assert (lags.lag[["air", "surfaces"]].abs() < 0.01).all()
+        assert_allclose(lags.lag[["air", "surfaces"]], 0.0, atol=0.01)
         assert (lags.applied == 0).all()
 
     @pytest.mark.parametrize(("air", "surfaces"), [(0.08, 0.05), (0.08, -0.05), (-0.08, 0.0)])
     def test_lags_put_in_together_are_found(self, latlon, air, surfaces):
         lags = found_in(late(latlon, air=air, surfaces=surfaces))
         # those that are early may as well follow by a lag of servos
-        assert lags.lag["surfaces"] - lags.lag["servos"] == pytest.approx(surfaces, abs=0.01)
-        assert lags.lag["air"] == pytest.approx(air, abs=0.01)
+        assert_allclose(lags.lag["surfaces"] - lags.lag["servos"], surfaces, rtol=0, atol=0.01)
+        assert_allclose(lags.lag["air"], air, rtol=0, atol=0.01)
 
     def test_the_standard_deviation_is_that_of_the_errors(self):
         """Over logs of one aircraft, with noisy vanes; Student's quantile of few pieces is three times the usual."""
@@ -110,10 +93,10 @@ class TestEstimate:
             table[name] += rng.normal(0, 0.002 * np.std(table[name]), len(table))
         corrector = LagCorrector()
         out = corrector.fit_transform(table)
-        assert corrector.lags_.applied["servos"] == pytest.approx(servos, abs=0.01)
-        assert corrector.lags_.applied["surfaces"] == pytest.approx(-delay, abs=0.01)
-        assert corrector.servos_.lag == pytest.approx(servos, abs=0.01)
-        assert corrector.servos_.delay == pytest.approx(delay, abs=0.01)
+        assert_allclose(corrector.lags_.applied["servos"], servos, rtol=0, atol=0.01)
+        assert_allclose(corrector.lags_.applied["surfaces"], -delay, rtol=0, atol=0.01)
+        assert_allclose(corrector.servos_.lag, servos, rtol=0, atol=0.01)
+        assert_allclose(corrector.servos_.delay, delay, rtol=0, atol=0.01)
         assert 0.0 < corrector.servos_.delay_std < corrector.servos_.lag_std < 0.02
         # the time of both together is known better than the lag
         std = corrector.lags_["std"]["surfaces"]
@@ -137,7 +120,7 @@ class TestEstimate:
         lags = found_in(table)
         # of the difference equation half a step
         right = -(late + 0.5) * step
-        assert lags.lag["surfaces"] - lags.lag["servos"] == pytest.approx(right, abs=0.004)
+        assert_allclose(lags.lag["surfaces"] - lags.lag["servos"], right, rtol=0, atol=0.004)
 
     @pytest.mark.parametrize(
         ("servos", "delay", "removed", "n_flights"),
@@ -156,22 +139,22 @@ class TestEstimate:
         corrector = LagCorrector()
         out = corrector.fit_transform(pd.concat(flights, ignore_index=True))
         applied = corrector.lags_.applied
-        assert applied["surfaces"] == pytest.approx(-removed, abs=0.01)
+        assert_allclose(applied["surfaces"], -removed, rtol=0, atol=0.01)
         in_lag = 0.01 if removed else 0.0
         assert delay + applied["surfaces"] - in_lag < 2 * out["servo_delay_std"][0]
         assert applied["servos"] == 0.0
         if removed:  # but for two standard deviations, at most 10 ms
             left = applied["surfaces"] - corrector.lags_.lag["surfaces"]
-            assert left == pytest.approx(min(2 * corrector.servos_.delay_std, 0.01), abs=1e-6)
+            assert_allclose(left, min(2 * corrector.servos_.delay_std, 0.01), rtol=0, atol=1e-6)
         # slow inputs tell the sum
         found = corrector.servos_
-        assert found.lag + found.delay == pytest.approx(servos + delay, abs=0.02)
+        assert_allclose(found.lag + found.delay, servos + delay, rtol=0, atol=0.02)
 
     def test_attitude_and_gps_are_found_by_kinematics(self, latlon):
         spoilt = late(latlon[:1400], attitude=0.06, gps=-0.05)
         lags = lags_of(spoilt.assign(time=spoilt["time"] + 5000.0))  # of a clock started long ago
-        assert abs(lags.lag["attitude"] - 0.06) < 0.005
-        assert abs(lags.lag["gps"] + 0.05) < 0.005
+        assert_allclose(lags.lag["attitude"], 0.06, rtol=0, atol=0.005)
+        assert_allclose(lags.lag["gps"], -0.05, rtol=0, atol=0.005)
         assert (lags.applied == lags.lag)[["attitude", "gps"]].all()
 
     def test_sensors_ahead_of_the_centre_of_gravity_are_not_late(self, latlon):
@@ -186,9 +169,8 @@ class TestEstimate:
 
     def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
         table = linear_aircraft(0)
-        rng = default_rng(9)
-        names = ["alpha", "beta", "elevator", "aileron", "rudder"]
-        table[names] = rng.normal(size=(len(table), 5))
+        noise = default_rng(9).normal(size=(len(table), 5))
+        table[["alpha", "beta", "elevator", "aileron", "rudder"]] = noise
         assert tells_nothing(table)
 
     def test_an_error_of_the_model_that_changes_is_no_lag(self):
@@ -205,7 +187,7 @@ class TestEstimate:
         record = late(latlon, air=lag)
         elapsed = record["time"] - record["time"].iloc[0]
         lags = found_in(record[(elapsed > begin) & (elapsed < begin + 12.0)].reset_index(drop=True))
-        assert lags.lag["air"] == pytest.approx(lag, abs=0.02)
+        assert_allclose(lags.lag["air"], lag, rtol=0, atol=0.02)
         assert lags["std"]["air"] < 0.02
         assert (lags.applied["air"] == 0.0) == (lag == 0.0)
 
@@ -221,7 +203,7 @@ class TestEstimate:
         table = linear_aircraft(0, air=0.06)
         missing = table.drop(columns="beta")
         assert_frame_equal(lags_of(table.assign(beta=0.02)), lags_of(missing))
-        assert lags_of(missing).lag["air"] == pytest.approx(0.06, abs=0.01)
+        assert_allclose(lags_of(missing).lag["air"], 0.06, rtol=0, atol=0.01)
 
     def test_a_log_slower_than_the_band_tells_nothing(self):
         assert tells_nothing(linear_aircraft(0)[::27])  # 1.5 Hz
@@ -257,8 +239,7 @@ class TestTransform:
             {"time": time, "flight": ["a"] * 100 + ["b"] * 50, "alpha": np.repeat([1.0, 2, 3], 50)}
         )
         for lag in (0.3, -0.3):
-            out = corrected(table, {"alpha": lag})
-            assert_allclose(out.alpha, table.alpha)
+            assert_allclose(corrected(table, {"alpha": lag}).alpha, table.alpha)
 
     def test_what_was_not_sampled_stays_so(self):
         time = np.arange(0, 10, STEP)
@@ -268,8 +249,7 @@ class TestTransform:
         out = corrected(table, {"alpha": 0.1})
         assert out.alpha.isna().equals(table.alpha.isna())
         commands = table.rename(columns={"alpha": "elevator"})
-        out_of_servos = corrected(commands, {"servos": 0.1})
-        assert out_of_servos.elevator.isna().equals(table.alpha.isna())
+        assert corrected(commands, {"servos": 0.1}).elevator.isna().equals(table.alpha.isna())
         known = out.alpha.notna() & ~table.index.isin([*range(92, 100), *range(390, 400)])
         assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)
 
@@ -313,7 +293,7 @@ def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limi
         return
     with pytest.warns(UserWarning, match="reach a limit of their rate"):
         corrector = LagCorrector().fit(table)
-    assert corrector.servos_.rate_limit == pytest.approx(rate_limit, rel=0.3)
+    assert_allclose(corrector.servos_.rate_limit, rate_limit, rtol=0.3)
     found = corrector.transform(table)["aileron"]
     truth = delta[::5, 0]
     assert np.std(found - truth) < 0.4 * np.std(table["aileron"] - truth)

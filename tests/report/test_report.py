@@ -65,11 +65,10 @@ class Page(HTMLParser):
 
 
 def table(n, seed=0):
-    levels = {
+    return make_flight({
         "throttle": (0.5, 0, 0), "elevator aileron rudder": (0, 0.05, 0), "p r": (0, 1, 0),
         "v_north v_east": (0, 40, 0), "altitude": (300, 5, 0),
-    }  # fmt: skip
-    return make_flight(levels, n, 1 / 40, seed=seed)
+    }, n, 1 / 40, seed=seed)  # fmt: skip
 
 
 def result(n=800, **changes):
@@ -97,15 +96,15 @@ def result(n=800, **changes):
 def effects():
     """Return the effects of a model of three regressors."""
     X = pd.DataFrame(default_rng(0).normal(size=(30, 3)), columns=["alpha", "q_hat", "elevator"])
-    Y = pd.DataFrame(np.sin(X @ np.ones((3, 2))).to_numpy(), columns=["CZ", "Cm"])
+    Y = np.sin(X @ np.ones((3, 2))).set_axis(["CZ", "Cm"], axis=1)
     model = DependentGPRegressor(structure="joint", n_latent=1, optimizer=None, random_state=0)
     return EffectsDisplay.from_estimator(model.fit(X, Y), X, ax=False)
 
 
 def said(text):
     """Return a stand-in for a finding."""
-    numbers = {"text": text}
-    return SimpleNamespace(code=None, channel=None, numbers=numbers, text=text, clause=text)
+    known = {"text": text, "clause": text, "numbers": {"text": text}}
+    return SimpleNamespace(code=None, channel=None, **known)
 
 
 def verdict(error=0.131, coverage=0.972, linear=0.191, **changes):
@@ -219,8 +218,7 @@ class TestWords:
         values = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
         half = 1.96 * values["std"]
         values = values.assign(lower=values["value"] - half, upper=values["value"] + half)
-        found = FlightMechanics(derivatives=values)
-        words = words_of(mechanics=found)
+        words = words_of(mechanics=FlightMechanics(derivatives=values))
         assert "Cm_alpha −0.2 ± 0.05" in words
         assert "Cm_q ▼ −1 ± 0.7" in words
         assert "Cl_aileron 0.3 ± 0.1" in words
@@ -228,8 +226,7 @@ class TestWords:
 
     def test_tables_hold_every_score(self, html):
         flight = result()
-        words = Page(html).words
-        _, rows = words.split("NRMSE of truth ")
+        _, rows = Page(html).words.split("NRMSE of truth ")
         cells = np.reshape(rows.split()[:36], (6, 6))  # name, two errors, coverage, two errors
         for column, values in {2: flight.measured, 5: flight.truth}.items():
             errors = normalized_rmse(values, flight.mean, multioutput="raw_values")

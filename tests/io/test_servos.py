@@ -19,8 +19,9 @@ class TestAngles:
         found = deflection([-1.5, -1, -0.5, 0.5, 1, 1.5], channel="a.b", points=points)
         assert_allclose(found, [-0.8, -0.5, -0.2, 0.2, 0.3, 0.4])
 
-    def test_no_pulse_is_no_angle(self):
-        assert np.isnan(deflection([0.0, 65.0], **ENDS)).all()
+    def test_no_pulse_is_no_angle_and_pulses_between_the_ends_are(self):
+        found = deflection([0.0, 65.0, 1100, 1300, 1500, 1900], **ENDS)
+        assert_allclose(found, [np.nan, np.nan, -0.4, -0.2, 0.0, 0.4])
         assert np.isfinite(deflection([0.0], channel="a.b", points=[[-1, -0.4], [1, 0.4]])).all()
 
 

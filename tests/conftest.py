@@ -253,7 +253,7 @@ def cut_short():
 
     @contextmanager
     def cut_short(**others):
-        blocks = BlockSettings(values=300, most=1)
+        blocks = BlockSettings(values=240, series_values=300, series_blocks=1)
         search = SearchSettings(blocks=blocks, widths=(1.0,), noises=(1.0,), exact_iterations=2)
         short = replace(DependentGPRegressor.settings, search=search, **others)
         with pytest.MonkeyPatch.context() as patch:

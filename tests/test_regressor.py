@@ -151,9 +151,4 @@ def test_a_fit_stopped_far_from_an_optimum_says_so():
     ):
         model = DependentGPRegressor(max_iter=1, random_state=0).fit(X, y)
     assert not model.converged_
-    with pytest.warns(
-        ConvergenceWarning,
-        match=r"Raise max_iter, or scale the regressors \['x0'\] .StandardScaler.\.$",
-    ):
-        DependentGPRegressor(max_iter=1, random_state=0).fit(100 * X, y)
     assert DependentGPRegressor(random_state=0, max_iter=2000).fit(X, y).converged_

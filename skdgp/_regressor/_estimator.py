@@ -91,11 +91,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
         correlation of neighbouring errors of a time series. Both learn hyperparameters from at most
-        three blocks of 1000 values, whose likelihoods add up. "auto" is "exact" up to 1000 observed
-        values of a time series, and "sparse" for more. Without ``time`` it is "exact" up to 6000. Of
-        N > 6000 it is "sparse" where up to four times as many inducing inputs leave at most
-        0.003 (N / 6000)^2, or 0.3, of the noise variance unexplained (Burt, Rasmussen & van der Wilk
-        2020), else "exact" on 6000 of the values. The result is in ``inference_``.
+        1500 values, of a time series from three blocks of 1000, whose likelihoods add up. "auto" is
+        "exact" up to 1000 observed values of a time series, and "sparse" for more. Without ``time``
+        it is "exact" up to 6000. Of N > 6000 it is "sparse" where up to four times as many inducing
+        inputs leave at most 0.003 (N / 6000)^2, or 0.3, of the noise variance unexplained (Burt,
+        Rasmussen & van der Wilk 2020), else "exact" on 6000 of the values. The result is in
+        ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference; "auto" may take more.
     input_noise : {"auto", "learned"}, array (d,) or None
@@ -305,7 +306,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         UserWarning
             If an output or a regressor is constant, or samples with equal targets are repeated.
         FewRowsWarning
-            If there are fewer than 10 independent rows for each regressor: bands are too narrow
+            If there are fewer than 10 independent rows for each regressor: bands may be too narrow
             then.
         ConvergenceWarning
             If the search for hyperparameters stopped at ``max_iter`` before it converged.
@@ -400,7 +401,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
         X (n, d) and Z (n, P) are in recording order, ``rows`` (n,) those of the fit.
         """
-        ended = _checks.search_ended(self, X, self._regressor_names())
+        ended = _checks.search_ended(self)
         if ended is not None:
             report(ended, _checks.SearchWarning)
         if self.kernel is not None and self.optimizer is not None:
@@ -652,8 +653,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return np.sqrt(factor.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) * self._input_std)
 
     def _check_regressors(self, X):
-        if self._is_valid(X):
-            return X
         check_is_fitted(self)
         _checks.check_unmasked(X)
         X = validate_data(self, X, dtype=np.float64, reset=False)
@@ -675,19 +674,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """Return the names of the regressors, or x0, x1, ... if they have none."""
         return list(
             getattr(self, "feature_names_in_", [f"x{k}" for k in range(self.n_features_in_)])
-        )
-
-    def _is_valid(self, X):
-        """Return whether X needs no conversion by ``validate_data``, which dominates the time of a single row."""
-        return (
-            type(X) is np.ndarray
-            and X.dtype == np.float64
-            and X.ndim == 2
-            and len(X) > 0
-            and X.shape[1] == getattr(self, "n_features_in_", None)
-            and hasattr(self, "posterior_")
-            and not hasattr(self, "feature_names_in_")
-            and float(np.abs(X).max()) <= _checks.X_RANGE[1]
         )
 
     def _in_output_units(self, mean):

@@ -28,6 +28,7 @@ from skdgp.inference import (
     mixture_of,
     search,
     structure_weights,
+    widened,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, as_multi_output
 
@@ -203,14 +204,24 @@ class Recipe:
             data = Data.from_table(X, Z, known.added)
         weights = structure_weights([learned.score() for learned in found])
         likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
+        is_widened = self._is_widened(kernels[0], known, data.n_values)
         fits = []
         for k in likeliest:
             rows, fit = self._fit_of(found[k], X, Z, data, known)
             if self._averages:
                 some = known.of_rows(rows)
                 fit = average(fit, X[rows], Z[rows], self.time_series, some)
+            if is_widened:
+                fit = widened(fit)
             fits.append(fit)
         return mixture_of(fits, weights[likeliest].tolist())
+
+    def _is_widened(self, kernel, known, n_values):
+        """Return whether all variances are learned, from independent values by exact inference."""
+        is_given = self.given.kernel is not None or self.given.optimizer is None
+        if is_given or known.bounds is not None or self.time_series:
+            return False
+        return kernel.n_processes > 0 and self.inference_of(n_values) == "exact"
 
     def _fit_of(self, learned, X, Z, data, known):
         """Return the rows that are learned from, and the fit to them: some where a sparse fit neglects much."""
@@ -227,7 +238,7 @@ class Recipe:
         _checks.warn_of_approximation(neglected, n_inducing, n_exact if is_auto else None)
         if not is_auto:
             return every, fit
-        (rows,) = blocks_of_rows(X, Z, BlockSettings(values=n_exact, most=1))
+        (rows,) = blocks_of_rows(X, Z, BlockSettings(values=n_exact))
         some = known.of_rows(rows)
         few = Data.from_table(X[rows], Z[rows], some.added)
         return rows, fit_exact(learned, few, self.time_series, some)

@@ -34,9 +34,9 @@ from skdgp.inference._fit import average as average
 from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._fit import fit_exact, fit_sparse
 from skdgp.inference._fit import mixture_of as mixture_of
+from skdgp.inference._fit import widened as widened
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import Likelihood as Likelihood
-from skdgp.inference._likelihood import TileSettings as TileSettings
 from skdgp.inference._noise import KnownNoise as KnownNoise
 from skdgp.inference._objective import Objective as Objective
 from skdgp.inference._optimizer import Optimum as Optimum

@@ -1,9 +1,10 @@
-"""The rows that a search learns from, in blocks whose likelihoods add up.
+"""The rows that a search learns from.
 
-The time of a likelihood grows with the third power of its values, so many values are split into
-blocks, as if these were independent (a composite likelihood: Varin, Reid & Firth 2011). A block
-holds groups of neighbours, the leaves of a k-d tree, from everywhere: its values are as dense as the
-data within a leaf, and show short scales, and as wide apart as the data between leaves, and show long ones.
+The time of a likelihood grows with the third power of its values, so of many values a part is learned
+from. It holds groups of neighbours, the leaves of a k-d tree, from everywhere: its values are as dense
+as the data within a leaf, and show short scales, and as wide apart as the data between leaves, and show
+long ones. Of a time series there are several blocks, whose likelihoods add up as if they were independent
+(a composite likelihood: Varin, Reid & Firth 2011).
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from skdgp._compute.typing import Indices, Matrix
 class BlockSettings:
     """How many values a search learns from."""
 
-    #: Most values of a block, and most blocks: the time of a fit grows with values^3 and blocks
-    values: int = 1000
-    most: int = 3
-    #: Most rows of a leaf (trials with 64 and 200 were alike), and fewest leaves of a block
+    #: Most values: the time of a fit grows with values^3
+    values: int = 1500
+    #: Most values of a block of a time series, and most blocks
+    series_values: int = 1000
+    series_blocks: int = 3
+    #: Most rows of a leaf (trials with 64 and 200 were alike), and fewest leaves
     leaf_rows: int = 64
     leaves: int = 8
 
@@ -38,9 +41,8 @@ def blocks_of_rows(
 ) -> list[Indices]:
     """Return the rows of each block.
 
-    The leaves are dealt to as many parts as the values fill blocks, of which at most
-    ``settings.most`` are learned from. A leaf of a time series is one row, as errors of neighbours
-    are correlated.
+    The one block of a table are leaves that are evenly spread over the tree. Rows of a time series are
+    evenly spaced, as errors of neighbours are correlated.
 
     Parameters
     ----------
@@ -56,12 +58,18 @@ def blocks_of_rows(
     list of ndarray of int
         In ascending order.
     """
-    n_parts = -(-int(np.isfinite(Y).sum()) // settings.values)
-    most = min(settings.leaf_rows, len(X) // (settings.leaves * n_parts))
-    leaf = np.arange(len(X)) if time_series else leaves(X, most)
-    n_blocks = min(n_parts, settings.most)
-    chosen = np.arange(n_blocks) * n_parts // n_blocks
-    return [np.flatnonzero(leaf % n_parts == part) for part in chosen]
+    n, n_values = len(X), int(np.isfinite(Y).sum())
+    if time_series:
+        n_parts = -(-n_values // settings.series_values)
+        n_blocks = min(n_parts, settings.series_blocks)
+        return [np.arange(k * n_parts // n_blocks, n, n_parts) for k in range(n_blocks)]
+    part = settings.values / n_values
+    if part >= 1.0:
+        return [np.arange(n)]
+    leaf = leaves(X, min(settings.leaf_rows, int(part * n) // settings.leaves))
+    # leaf k is one of a part p of all where the whole part of p k rises
+    is_chosen = np.diff(np.floor(part * np.arange(leaf.max() + 2))) > 0
+    return [np.flatnonzero(is_chosen[leaf])]
 
 
 def leaves(X: Matrix, most: int) -> Indices:

@@ -7,6 +7,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import norm, t
 
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale
 from skdgp._compute.statistics import autocorrelation_time
@@ -90,7 +91,7 @@ def fit_sparse(
     """
     _, X = sample_table(data.X, data.sample)
     check_inducing(learned.kernel, X, n_inducing)
-    centres = inducing_centres(learned.kernel, X, n_inducing)
+    centres = inducing_centres(X, n_inducing)
     features = inducing_features(learned.kernel, centres)
     return _fit(learned, data, ordered, partial(_posterior, features), known)
 
@@ -187,13 +188,8 @@ def check_inducing(kernel: MultiOutputKernel, X: Matrix, n_inducing: int) -> Non
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
 
 
-def inducing_centres(kernel: MultiOutputKernel, X: Matrix, n_inducing: int) -> Matrix:
-    """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs.
-
-    The samples alone decide where k-means puts them.
-    """
-    if inducing_features(kernel, X[:1]).size == inducing_features(kernel, X[:2]).size:
-        return X[:1]
+def inducing_centres(X: Matrix, n_inducing: int) -> Matrix:
+    """Return at most n_inducing centres of the samples, (k, d): they alone decide where k-means puts them."""
     distinct = np.unique(X, axis=0)
     if len(distinct) <= n_inducing:
         return distinct
@@ -243,11 +239,33 @@ def average(
     return Fit(Posterior(members, weights), fit.learned._replace(noise=noise))
 
 
-def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
-    """Return the fit of the mixture of posteriors with weights that add up to one; with the likelihood of the first.
+def widened(fit: Fit) -> Fit:
+    r"""Return an exact fit whose bands hold of few values, too: variances are larger, the mean is the same.
 
-    Structures may explain the data equally well but predict other data differently, so their mean
-    predicts better than each (Breiman 1996).
+    The variances of n values of an output and of their p hyperparameters, which maximise the likelihood,
+    are too small. With their excess they are unbiased, as the variance of residuals of p weights, and
+    the standard deviation is that of a normal distribution with the 95 % band of Student's t
+    distribution with n - 1 degrees of freedom: of a process whose amplitude is integrated out.
+    """
+    n_values = np.array([len(y) for y in fit.posterior.data.y])
+    root = t.ppf(0.975, n_values - 1) / norm.ppf(0.975) * np.sqrt(fit.learned.excess)
+    members = []
+    for member in fit.posterior.members:
+        kernel = member.kernel.rescaled(root)
+        data = member.data.inflated(root**2)
+        members.append(_posterior(None, kernel, root**2 * member.noise, data))
+    added = fit.learned.added
+    learned = fit.learned._replace(
+        noise=root**2 * fit.learned.noise, added=None if added is None else root**2 * added
+    )
+    return Fit(Posterior(members, fit.posterior.mixture), learned)
+
+
+def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
+    """Return the fit of the mixture of posteriors with weights that add up to one.
+
+    Likelihood and noise of the regressors are those of the first. Structures may explain the data
+    equally well but predict other data differently, so their mean predicts better than each (Breiman 1996).
     """
     if len(fits) == 1:
         return fits[0]
@@ -257,14 +275,8 @@ def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
         members += fit.posterior.members
         mixture.append(weight * fit.posterior.mixture)
     learned = [fit.learned for fit in fits]
-    input_std = None
-    if any(part.input_std is not None for part in learned):
-        stds = [0.0 if part.input_std is None else part.input_std for part in learned]
-        variances = np.broadcast_arrays(*map(np.square, stds))
-        input_std = np.sqrt(np.average(variances, axis=0, weights=weights))
     common = learned[0]._replace(
         noise=np.average([part.noise for part in learned], axis=0, weights=weights),
-        input_std=input_std,
         n_iter=max(part.n_iter for part in learned),
         converged=all(part.converged for part in learned),
     )

@@ -11,8 +11,7 @@ its values feel by the loadings g_k. Those of regressors are the slopes of the p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations, combinations_with_replacement, pairwise
+from itertools import combinations, combinations_with_replacement
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,22 +30,11 @@ from skdgp._compute.parallel import thread_map, threads_for
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels import InputPair, MultiOutputKernel, PathBundle
 
-
-@dataclass(frozen=True)
-class TileSettings:
-    """Largest sides of the tiles of the covariance matrix, in values of one output: what fits the cache."""
-
-    #: Beside the diagonal
-    side: int = 768
-    #: On the diagonal, where both triangles are computed
-    diagonal: int = 256
-
-
-TILES = TileSettings()
+#: Largest side of the tiles of the covariance matrix, in values of one output: what fits the cache
+SIDE = 256
 LEAST_INFORMATION = (
     1e-3  # about a hyperparameter that the values determine [nats for its unit squared]
 )
-SLOPE_ROWS = 512  # samples in one step of the slopes: their covariances fit the cache
 
 
 class SlopeNoise(NamedTuple):
@@ -65,24 +53,13 @@ class SlopeNoise(NamedTuple):
     def loadings(self) -> list[np.ndarray]:
         """Return the loadings of the values of each output on each regressor, (n_i, d)."""
         samples, X = sample_table(self.X, self.sample)
-        batches = [X[start : start + SLOPE_ROWS] for start in range(0, len(X), SLOPE_ROWS)]
-        with threads_for(len(X)):
-            slopes = thread_map(lambda batch: self.function.slopes(batch[None])[0], batches)
-        loadings = np.concatenate(slopes) * self.std
-        of_outputs = []
-        for i, sample in enumerate(self.sample):
-            everywhere = len(sample) == len(samples)
-            rows = slice(None) if everywhere else samples.searchsorted(sample)
-            of_outputs.append(loadings[rows, i])
-        return of_outputs
+        loadings = self.function.slopes(X[None])[0] * self.std
+        return [loadings[samples.searchsorted(rows), i] for i, rows in enumerate(self.sample)]
 
 
 def sample_table(X: Sequence[Matrix], sample: Sequence[Indices]) -> tuple[Indices, Matrix]:
     """Return the samples that any output has, (n,), in order, and their inputs (n, d)."""
     samples, first = np.unique(np.concatenate(sample), return_index=True)
-    for inputs, places in zip(X, sample, strict=True):
-        if len(places) == len(samples):
-            return samples, inputs
     return samples, np.concatenate(X)[first]
 
 
@@ -232,36 +209,26 @@ class Tile(NamedTuple):
     stacked: slice  # among the stacked values of all outputs
 
 
-def _cut(tile, side):
-    row, place = tile.rows.start, tile.stacked.start
-    size = tile.rows.stop - row
-    edges = np.linspace(0, size, -(-size // side) + 1).astype(int)
-    return [
-        Tile(tile.output, slice(row + a, row + b), slice(place + a, place + b))
-        for a, b in pairwise(edges)
-    ]
-
-
-def _pairs(kernel, data, side, diagonal):
+def _pairs(kernel, data, side):
     """Return the pairs of tiles on and above the diagonal that the kernel couples."""
     tiles = []
     for i, stacked in enumerate(consecutive(data.y)):
-        output = Tile(i, slice(0, len(data.y[i])), stacked)
-        tiles += _cut(output, side)
-    pairs = list(combinations(tiles, 2))
-    for tile in tiles:
-        pairs += combinations_with_replacement(_cut(tile, diagonal), 2)
+        for start in range(0, len(data.y[i]), side):
+            end = min(start + side, len(data.y[i]))
+            place = slice(stacked.start + start, stacked.start + end)
+            tiles.append(Tile(i, slice(start, end), place))
+    pairs = combinations_with_replacement(tiles, 2)
     return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
 def covariance(
-    kernel: MultiOutputKernel, noise: Vector, data: Data, tiles: TileSettings = TILES
+    kernel: MultiOutputKernel, noise: Vector, data: Data, side: int = SIDE
 ) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
     ``noise`` is as for ``_Noise``.
     """
-    pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
+    pairs = _pairs(kernel, data, side)
     S = _Noise(noise, data)
     return _assembled(pairs, lambda k: kernel.block(*_inputs(data, *pairs[k])), S)
 
@@ -300,7 +267,7 @@ def log_likelihood(
     noise: Vector,
     data: Data,
     eval_gradient: bool = False,
-    tiles: TileSettings = TILES,
+    side: int = SIDE,
 ) -> Any:
     r"""Return the log marginal likelihood (equation 20), or its `Likelihood` with derivatives by [theta, log noise].
 
@@ -326,7 +293,8 @@ def log_likelihood(
         Observed values of each output.
     eval_gradient : bool
         Whether to return the derivatives too.
-    tiles : TileSettings
+    side : int
+        Of the tiles.
 
     Returns
     -------
@@ -336,8 +304,8 @@ def log_likelihood(
     with threads_for(data.n_values):
         y = np.concatenate(data.y)
         if not eval_gradient:
-            return _value(jittered_cholesky(lambda: covariance(kernel, noise, data, tiles)), y)
-        pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
+            return _value(jittered_cholesky(lambda: covariance(kernel, noise, data, side)), y)
+        pairs = _pairs(kernel, data, side)
         evaluated = kernel.evaluate([_inputs(data, a, b) for a, b in pairs])
 
         def block(k):

@@ -155,12 +155,8 @@ class ExactPosterior(SinglePosterior):
         # equation 20
         constant = data.n_values * np.log(2 * np.pi)
         log_determinants = self.factor.log_determinant + constant
-        self.log_marginal_likelihood = -0.5 * (self.quadratic_form + log_determinants)
-
-    @property
-    def quadratic_form(self) -> float:
-        """Quadratic form y^T K^-1 y, which is N where the variances have the largest likelihood."""
-        return float(self._white @ self._white)
+        squares = self._white @ self._white
+        self.log_marginal_likelihood = -0.5 * float(squares + log_determinants)
 
     @property
     def size(self) -> int:
@@ -220,7 +216,7 @@ class ExactPosterior(SinglePosterior):
         """Return the variance that the data explain of functions with the loadings A (n, N), (n,)."""
         variance = np.zeros(len(A))
         for rows, L in zip(self.factor.rows, self.factor.factors, strict=True):
-            part = A.T if len(rows) == self.size else A.T[rows]
+            part = A.T[rows]
             if part.any():  # else of outputs that are independent of i
                 half = triangular_solve(L, part)
                 variance += np.einsum("ab,ab->b", half, half)

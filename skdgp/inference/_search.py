@@ -44,6 +44,7 @@ from skdgp.inference._starts import (
 )
 from skdgp.inference._structures import (
     contains,
+    excess_of,
     has_shared_latents,
     least_score,
     price_of,
@@ -107,7 +108,8 @@ class Hyperparameters(NamedTuple):
     ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
     noise, None for exact regressors, ``added`` (n, P), or None, are the noise variances of the values
     beside the white noise, known or of outliers. ``log_likelihood`` is of the values
-    of the search, ``price`` the price of the hyperparameters that they determine, and of shifts.
+    of the search, ``price`` the price of the hyperparameters that they determine, and of shifts,
+    ``excess`` the ratio of errors of other values to those of the search (Hurvich & Tsai 1989).
     """
 
     kernel: MultiOutputKernel
@@ -118,6 +120,7 @@ class Hyperparameters(NamedTuple):
     converged: bool = True
     log_likelihood: float = -np.inf
     price: float = 0.0
+    excess: float = 1.0
 
     def score(self) -> float:
         """Return the logarithm of the weight among structures (Akaike 1974)."""
@@ -210,10 +213,8 @@ class _Search:
         self.options = options
         self.random_state = check_random_state(options.random_state)
         self.scale = column_scale(X)
-        self.blocks = [self._data(of_block) for of_block in rows]
-
-    def _data(self, rows, columns=slice(None)):
-        return _data_of(self.X, self.Y, self.known, rows, columns)
+        self.blocks = _blocks_of(X, Y, rows, known)
+        self.n_values = sum(block.n_values for block in self.blocks)
 
     def _noise(self, kernel):
         """Return the starting noise (P,) and its bounds (P, 2) of a kernel with values."""
@@ -235,7 +236,7 @@ class _Search:
             fits.append(fit)
         if added.any():
             self.known = self.known._replace(added=added)
-            self.blocks = [self._data(of_block) for of_block in self.rows]
+            self.blocks = _blocks_of(self.X, self.Y, self.rows, self.known)
         noise = np.concatenate([fit.noise for fit in fits])
         return _OutputsAlone([fit.kernel for fit in fits], noise)
 
@@ -249,6 +250,8 @@ class _Search:
         observed = np.isfinite(self.Y[:, i])
         X, y = self.X[observed], self.Y[observed, i]
         added = np.zeros(len(self.Y))
+        if self.known.added is not None:
+            added = self.known.added[:, i].copy()
         if not self.has_normal_noise:
             added[observed] = gross_outliers(X, y)
         fit, data = self._alone(single, i, added)
@@ -274,9 +277,8 @@ class _Search:
         settings = self.options.settings
         column = slice(i, i + 1)
         rows = self._observed(i)
-        data = self._data(rows, column)
-        if added.any():
-            data = Data.from_table(self.X[rows], self.Y[rows, column], added[rows, None])
+        beside = added[rows, None] if added.any() else None
+        data = Data.from_table(self.X[rows], self.Y[rows, column], beside)
         kernel = starting_kernel(single, self.X[rows], self.Y[rows, column])
         residual = kernel.residual(self.X, self.Y[:, column])
         scale = output_scale(self.Y[:, column])
@@ -296,7 +298,8 @@ class _Search:
         """Return rows with values of output i: of as many blocks as have at most the values of one."""
         rows = [of_block[np.isfinite(self.Y[of_block, i])] for of_block in self.rows]
         n_values = np.cumsum([len(of_block) for of_block in rows])
-        n_blocks = max(1, int(np.sum(n_values <= self.options.settings.blocks.values)))
+        most = self.options.settings.blocks.series_values
+        n_blocks = max(1, int(np.sum(n_values <= most)))
         return np.sort(np.concatenate(rows[:n_blocks]))
 
     # -- one kernel
@@ -344,9 +347,7 @@ class _Search:
             self._climb, bounds=bounds, blocks=self.blocks, max_iter=n_iter, least=least
         )
         for of_start in starts:
-            is_hopeless = found and found[0].score() - price < score
-            if not is_hopeless:
-                found.append(climb_from(*of_start))
+            found.append(climb_from(*of_start))
         for _ in range(self.options.n_restarts):
             found.append(climb_from(*redrawn(start, bounds, self.random_state)))
         best = max(found, key=lambda end: end.log_likelihood)
@@ -355,7 +356,7 @@ class _Search:
         return best._replace(price=best.price + price)
 
     def _price(self, n_determined):
-        return price_of(n_determined, sum(block.n_values for block in self.blocks))
+        return price_of(n_determined, self.n_values)
 
     def _climb(self, kernel, noise, bounds, blocks, max_iter, **options) -> Hyperparameters:
         point = climb(kernel, noise, bounds, blocks, max_iter, **options)
@@ -366,6 +367,7 @@ class _Search:
             converged=point.end.converged,
             log_likelihood=point.end.value,
             price=self._price(point.end.n_determined),
+            excess=excess_of(point.end.n_determined, self.n_values),
         )
 
     def _with_input_noise(self, exact: Hyperparameters, bounds: Matrix) -> Hyperparameters:
@@ -410,10 +412,9 @@ def _likelihood(blocks, start):
     return objective.value(np.concatenate([kernel.theta, np.log(noise)]))
 
 
-def _data_of(X, Y, known, rows, columns=slice(None)):
-    """Return the values of some rows of X (n, d) and columns of Y (n, P), with their known noise."""
-    added = None if known.added is None else known.added[rows, columns]
-    return Data.from_table(X[rows], Y[rows, columns], added)
+def _blocks_of(X, Y, rows, known):
+    """Return the values of the rows of each block of X (n, d) and Y (n, P), with their known noise."""
+    return [Data.from_table(X[of], Y[of], known.of_rows(of).added) for of in rows]
 
 
 def with_best_noise(
@@ -434,9 +435,7 @@ def with_best_noise(
     learned = learned._replace(noise=noise)
     if known.is_fixed:
         return learned
-    blocks = []
-    for of_block in rows:
-        blocks.append(learned.noisy(_data_of(X, Y, known, of_block)).with_loadings())
+    blocks = [learned.noisy(block) for block in _blocks_of(X, Y, rows, known)]
     point = climb(
         learned.kernel, noise, bounds, blocks, max_iter, noise_alone=True, stage="members"
     )

@@ -56,13 +56,19 @@ def contains(kernel: MultiOutputKernel, simpler: MultiOutputKernel) -> bool:
     return True
 
 
+def excess_of(n_hyperparameters: int, n_values: int) -> float:
+    """Return n / (n - p - 1) for n values and p hyperparameters, at most 2, for p beyond half of n."""
+    p = min(n_hyperparameters, 0.5 * n_values - 1.0)
+    return n_values / (n_values - p - 1.0)
+
+
 def price_of(n_hyperparameters: int, n_values: int) -> float:
     """Return what a likelihood of n values pays for p hyperparameters, p n / (n - p - 1) nats (Hurvich & Tsai 1989).
 
-    At most half as many count as there are values.
+    Each beyond half of n pays 4 nats, about the slope there.
     """
     p = min(n_hyperparameters, 0.5 * n_values - 1.0)
-    return p * n_values / (n_values - p - 1.0)
+    return p * excess_of(n_hyperparameters, n_values) + 4.0 * (n_hyperparameters - p)
 
 
 def least_score(scores: Sequence[float]) -> float:

@@ -13,7 +13,6 @@ from skdgp.inference import (
     Data,
     ExactPosterior,
     PosteriorSettings,
-    TileSettings,
     log_likelihood,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -21,7 +20,7 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend
 NEW = default_rng(5).normal(size=(6, 2))
 
 
-TILES = pytest.mark.parametrize("tiles", [TileSettings(), TileSettings(1, 2), TileSettings(3, 2)])
+TILES = pytest.mark.parametrize("side", [256, 1, 3])
 
 
 def likelihood(problem, **options):
@@ -39,13 +38,13 @@ def cross(problem, Xs):
 
 class TestLikelihood:
     @TILES
-    def test_is_the_density_of_the_observed_values(self, problem, tiles):
+    def test_is_the_density_of_the_observed_values(self, problem, side):
         expected = multivariate_normal(cov=problem.K).logpdf(problem.y)
-        assert likelihood(problem, tiles=tiles) == pytest.approx(expected, rel=1e-10)
+        assert likelihood(problem, side=side) == pytest.approx(expected, rel=1e-10)
         assert posterior_of(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-10)
 
     @TILES
-    def test_gradient(self, problem, tiles, assert_gradient):
+    def test_gradient(self, problem, side, assert_gradient):
         """By the hyperparameters, then by the logarithms of the noise."""
         n = problem.kernel.n_dims
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)])
@@ -54,12 +53,12 @@ class TestLikelihood:
             kernel = problem.kernel.clone_with_theta(theta[:n])
             return log_likelihood(kernel, np.exp(theta[n:]), problem.data)
 
-        found = likelihood(problem, eval_gradient=True, tiles=tiles)
+        found = likelihood(problem, eval_gradient=True, side=side)
         assert found.value == pytest.approx(at(theta))
         assert_gradient(found.gradient, at, theta, rtol=1e-7, atol=1e-7)
 
     @TILES
-    def test_information(self, problem, tiles, information):
+    def test_information(self, problem, side, information):
         """Half of alpha^T dK_k K^-1 dK_l alpha, by the kernel and by the logarithms of the noise, and curvature."""
         alpha = np.linalg.solve(problem.K, problem.y)
         _, slopes = problem.kernel(problem.data.X, eval_gradient=True)
@@ -69,7 +68,7 @@ class TestLikelihood:
             products.append(np.where(outputs == i, variance * alpha, 0.0))
         products = np.array(products)
         expected = information(problem.kernel, problem.data, problem.K, problem.y, products)
-        found = likelihood(problem, eval_gradient=True, tiles=tiles).information
+        found = likelihood(problem, eval_gradient=True, side=side).information
         assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
 
     @pytest.mark.parametrize("silent", [0, 1, 2])
@@ -119,7 +118,7 @@ def test_the_number_of_threads_does_not_change_the_likelihood(large):
     results = []
     for threads in (1, 2):
         with threadpool_limits(threads, user_api="blas"):
-            results.append(log_likelihood(*large, eval_gradient=True, tiles=TileSettings(200, 100)))
+            results.append(log_likelihood(*large, eval_gradient=True, side=100))
     once, again = results
     assert again.value == pytest.approx(once.value, rel=1e-12)
     assert_allclose(again.gradient, once.gradient, rtol=1e-9, atol=1e-10)

@@ -86,12 +86,15 @@ def test_slopes_by_constant_regressors_have_no_price():
     assert prices[1] == pytest.approx(prices[0])
 
 
-def test_more_hyperparameters_than_values_pay_for_half_of_these():
-    """p n / (n - p - 1) of p = n / 2 - 1 (Hurvich & Tsai 1989)."""
+def test_more_hyperparameters_than_half_of_the_values_pay_four_nats_each():
+    """Beside p n / (n - p - 1) of p = n / 2 - 1 (Hurvich & Tsai 1989)."""
     X, Y = default_rng(0).normal(size=(2, 8, 3))
     options = SearchOptions(optimizer="fmin_l_bfgs_b", max_iter=1, random_state=0)
     (found,) = search([ConvolvedGaussian(1)], X, Y[:, :1], options)
-    assert found.price == pytest.approx(8 - 2)
+    beyond = (found.price - (8 - 2)) / 4
+    assert beyond == pytest.approx(round(beyond))
+    assert beyond > 0
+    assert found.excess == 2.0
 
 
 def test_weights_are_those_of_akaike():

@@ -56,7 +56,8 @@ class Code(Kind):
     JUMP = (
         "[flight {flight}: ]{channel} jumps by up to {size:.2g} rad within a step, which the gyros do not show"
         + PLACE
-        + ": a reset of the attitude, or another estimator; leave out the rows around it"
+        + ": a reset of the attitude, another estimator, or another flight; leave out the rows around it, or name "
+        "the flights in a column flight"
     )
     # all faults of a log, by their treatment
     FAULTS_BRIDGED = (

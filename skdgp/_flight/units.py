@@ -216,6 +216,12 @@ def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
                     f"{usual:.3g}: this looks like a mark of missing values. Leave these cells empty."
                 )
             degrees[name] = round(top, 1)
+    counts = {name: top for name, top in degrees.items() if name in ALL_SURFACES and top > 90.0}
+    if counts:
+        raise ValueError(
+            f"Got magnitudes up to {counts} (99th percentile), but expected surfaces in radians: these look like "
+            f"counts or pulses of servos. Subtract those at trim, and multiply by the deflection [rad] of one count."
+        )
     if degrees:
         raise ValueError(
             f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "

@@ -114,6 +114,14 @@ def test_a_slip_of_the_decimal_point_is_asked_about():
     assert_allclose(asked_for(question)["mass", "with a decimal place too many"], right["mass"])
 
 
+def test_an_indicated_airspeed_is_asked_about():
+    """Of a jet at 7 km; the coefficients grow by the density's ratio."""
+    ratio = 1.225 / 0.59
+    flown = {"airspeed": 200.0 / ratio**0.5, "density": 0.59, "CZ_alpha": 6.0 * ratio}
+    asked = asked_for(question_of_sizes(sizes_of("Boeing 747") | flown, {}))
+    assert asked["airspeed", "m/s of indicated airspeed"] == pytest.approx(200.0)
+
+
 def test_a_size_of_another_source_is_asked_for():
     weighed = {"weight": ScaleFactor(0.02, {"mass": 1.0}, "scale of 2021")}
     inertia = np.diag([0.8, 1.1, 1.8])

@@ -59,6 +59,7 @@ def nodding(step, scale):
         ],
         (lambda x: {"alpha": np.where(ROWS < 50, -x, 0.1)}, 90.0, 1.01, "mark of missing values"),
         (lambda x: {"elevator": x}, 0.7, 1.01, "commands from -1 to 1"),
+        (lambda x: {"elevator": x}, 90.0, 1.01, "counts or pulses of servos"),
         (lambda x: {"throttle": x}, 2.1, 1.01, "expected 0 to 1"),  # an afterburner has more than 1
         (lambda x: {"density": np.where(MOST, x, 1.2)}, 0.05, 0.99, "kg/m^3"),
         (lambda x: {"density": x}, 2.5, 1.01, "kg/m^3"),

@@ -236,6 +236,9 @@ FOUND = [
     (from_half("airspeed", lambda later: 0.7 * later), {"slope": pytest.approx(-0.43, abs=0.05)}),
     (scale({"airspeed": 0.95}), {"slope": pytest.approx(1 / 0.95, rel=0.02)}),
     (scale({"airspeed": 1.1}), {"slope": pytest.approx(1 / 1.1, rel=0.02)}),
+    (scale({"airspeed": 3.6}), {"causes": ["an airspeed in km/h"]}),
+    (scale({"airspeed": 1 / 0.514444}), {"causes": ["an airspeed in kt"]}),
+    (log_errors.without_gravity, {"causes": ["an acceleration without gravity"]}),
     (then(without(*VELOCITY), scale({"airspeed": 3.6})), {"channels": ["airspeed"]}),
     (from_half("airspeed", blocked), {"channels": ["airspeed"]}),
     (late(0.3, "alpha"), {"lag": pytest.approx(0.3), "channels": ["alpha"]}),
@@ -642,12 +645,20 @@ def test_a_late_servo_is_no_wrong_sign():
     assert len(contradictions(turn("rudder")(log))) == 1
 
 
-@pytest.mark.parametrize("change", [scale({"p": 0.0, "phi": 0.0}), without("p"), turn("p")])
-def test_what_confirms_a_channel(flight, change):
-    """Its motion, and another channel of it."""
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("p", scale({"p": 0.0, "phi": 0.0})),
+        ("p", without("p")),
+        ("p", turn("p")),
+        ("az", log_errors.without_gravity),
+    ],
+)
+def test_what_confirms_a_channel(flight, name, change):
+    """Its motion, and another channel of it, unless a law doubts it."""
     confirmed = confirmed_channels(FlightTable.of(flight))
     assert {*RATES, *EULER, "az", "v_down"} <= confirmed
-    assert "p" not in confirmed_channels(FlightTable.of(change(flight)))
+    assert name not in confirmed_channels(FlightTable.of(change(flight)))
 
 
 def test_noise_has_none(flight):

@@ -45,9 +45,10 @@ def find_contradictions(flights: FlightTable) -> list[Finding]:
 
 
 def confirmed_channels(flights: FlightTable) -> set[str]:
-    """Return the channels that an equality of kinematics confirms; of others nothing can be said but their signs."""
-    _, confirmed = _contradictions_in(signals_of(flights, CHANNELS))
-    return confirmed
+    """Return the channels that an equality of kinematics confirms and no law doubts; of others at most signs are known."""
+    contradictions, confirmed = _contradictions_in(signals_of(flights, CHANNELS))
+    causes = _causes(contradictions, confirmed)
+    return confirmed.difference(*[cause.channels for cause in causes])
 
 
 def _findings_of(flights: FlightTable) -> list[Finding]:

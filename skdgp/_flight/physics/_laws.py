@@ -6,8 +6,8 @@ the slope is outside by 5 standard deviations (4 for the scale of vanes).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +50,8 @@ class Law:
     beside: tuple[str, ...] = ()
     #: Usual causes of a contradiction
     causes: tuple[str, ...] = ()
+    #: Causes that give one slope, with this slope
+    slope_of: Mapping[str, float] = field(default_factory=dict)
     #: Unit of the slope
     unit: str = ""
     #: Error of x [unit of x]: a signal of no larger root mean square decides nothing
@@ -216,6 +218,10 @@ class Contradiction:
             if value < 0:
                 value = -value
                 later, earlier = earlier, later
+        causes = [*self.law.causes]
+        for cause, of_cause in self.law.slope_of.items():
+            if np.isclose(self.slope.value, of_cause, rtol=0.05, atol=2 * self.slope.std):
+                causes.append(cause)
         expected = self.law.admissible.text
         unit = self.law.unit
         is_opposite = self.law.admissible.sign * value < 0
@@ -230,7 +236,7 @@ class Contradiction:
             t=self.t,
             correlation=self.slope.correlation,
             effective_samples=self.slope.n_effective,
-            causes=list(self.law.causes),
+            causes=causes,
             is_turned=bool(self.lag is None and is_opposite and self.slope.explained > 1),
         )
 

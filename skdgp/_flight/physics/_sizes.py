@@ -17,7 +17,7 @@ from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import THRUST_FORCES
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
-from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT, drive_of
+from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT, SPEED_UNITS, drive_of
 from skdgp._flight.physics._regression import Slope
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.tables import FlightTable, by_name
@@ -169,7 +169,7 @@ UNITS = {
         "kg cm^2": 1e-4,
     },
     "thrust": {"lbf": POUND * STANDARD_GRAVITY},
-    "airspeed": {"kt": 1852 / 3600, "ft/s": FOOT, "km/h": 1 / 3.6},
+    "airspeed": SPEED_UNITS,
     "propeller.diameter": {**OF_LENGTHS, "m of the radius": 2.0},
     "propeller_speed": {"rpm": np.pi / 30, "1/s": 2 * np.pi},
     "thrust_line.direction": {},
@@ -206,6 +206,9 @@ def question_of_sizes(
     ]
     given = [name for name in asked if name not in estimated]
     others = [(name, factor, unit) for name in given for unit, factor in UNITS[name].items()]
+    if "airspeed" in given:
+        indicated = (SEA_LEVEL_DENSITY / FOLLOWING["air"](sizes)) ** 0.5
+        others.append(("airspeed", indicated, "m/s of indicated airspeed"))
     typed = [name for name in TYPED if name in given]
     others += [(name, factor, slip) for name in typed for slip, factor in SLIPS.items()]
     likely: list[tuple[str, float, str]] = []

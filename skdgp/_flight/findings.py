@@ -290,6 +290,12 @@ class Code(Kind):
         "",
         NOTE,
     )
+    SENSORS_DISAGREE = (
+        "sensors contradict each other, so flight paths are not reconstructed: {contradictions}",
+        "[Inertial sensors at {arm:.1f} m from the centre of gravity, or farther, explain it: give the aircraft their "
+        "sensor_position.][{is_unexplained:Look at their axes, units and clocks, and at vibration.}]",
+        DOUBT,
+    )
     SENSOR_CONTRADICTS = (
         "{channel}[{is_smoothed: is smoothed, so its noise is not known}]"
         " (residual {residual:.2g}, noise {noise:.2g})"
@@ -316,7 +322,8 @@ class Code(Kind):
     DIVERGING = "the error is {error:.3g} of the spread, so a constant predicts better", "", NOTE
     ERRORS_SMALL = "errors are {smallest:.2f} to {largest:.2f} of the spread", "", NOTE
     ERRORS_TOO_LARGE = (
-        "[only {good: }. ]{poor: } too large or uncertain[: errors {errors:.2f} of the spread]"
+        "[only {good: } are predicted well; ]errors or bands of {poor: } are too large[: errors {errors:.2f} of the "
+        "spread]"
         "[; 95 % bands hold {coverages:.1%}]",
         "",
         NOTE,
@@ -390,8 +397,8 @@ class Code(Kind):
     )
     FOLLOWS_TOO_SHORTLY = FOLLOWS_SHORTLY
     GUSTS_HIDE_ERRORS = (
-        "not testable in this air: it follows the test flights for {seconds:.2g} s, and their gusts are "
-        "not estimated",
+        "not testable without their wind and gusts, which are not estimated: it follows the test flights for "
+        "{seconds:.2g} s",
         "",
         NOTE,
     )

@@ -15,6 +15,7 @@ from skdgp.estimation._path import CALIBRATED as CALIBRATED
 from skdgp.estimation._path import RECONSTRUCTED as RECONSTRUCTED
 from skdgp.estimation._path import PathEstimate, estimate_path
 from skdgp.estimation._path import air_columns as air_columns
+from skdgp.estimation._path import apparent_arm as apparent_arm
 from skdgp.estimation._path import contradictions as contradictions
 from skdgp.estimation._path import ground_paths as ground_paths
 from skdgp.estimation._path import path_columns as path_columns

@@ -34,12 +34,14 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import air_data, rotation_to_euler
-from skdgp._flight.smoothing import differentiate
+from skdgp._flight.sensor_position import acceleration_by_rotation
+from skdgp._flight.smoothing import differentiate, smooth
 from skdgp._flight.tables import interpolate_missing, unwrapped
 from skdgp.estimation._least_squares import Equations, GaussianPrior, Posterior, solve
 from skdgp.estimation._path_equations import (
     ATTITUDE_LAG,
     EQUATION_NOISE,
+    FORCE_ROWS,
     GUST,
     GUST_ROWS,
     INERTIAL_ROWS,
@@ -323,6 +325,29 @@ def contradictions(
             numbers = {"residual": residual, "noise": noise, "is_smoothed": is_smoothed}
             contradicted.append(Finding(Code.SENSOR_CONTRADICTS, channel=sensor, **numbers))
     return contradicted
+
+
+def apparent_arm(
+    flights: Sequence[tuple[FlightSensors, PathEstimate]],
+) -> tuple[Vector, float]:
+    """Return the position (3,) of inertial sensors [m] by which they read most of what they read off their paths.
+
+    And the share of this that it explains. Paths follow a part of the readings, so the true position is farther.
+    """
+    arms, readings = [], []
+    for sensors, estimate in flights:
+        _, measured = estimate.path.inertial(sensors)
+        rates = smooth(measured, sensors.time, shrink=False, is_quiet=True)
+        spin = differentiate(measured, sensors.time, shrink=False, is_quiet=True)
+        axes = [acceleration_by_rotation(spin, rates, axis).ravel() for axis in np.eye(3)]
+        off_path = np.zeros_like(measured)
+        off_path[:-1] = -estimate.off_path[:, FORCE_ROWS]
+        arms.append(np.column_stack(axes))
+        readings.append(off_path.ravel())
+    x, y = np.concatenate(arms), np.concatenate(readings)
+    known = np.isfinite(x).all(axis=1)
+    arm = np.asarray(np.linalg.lstsq(x[known], y[known])[0])
+    return arm, 1.0 - float(np.sum((y - x @ arm)[known] ** 2) / np.sum(y[known] ** 2))
 
 
 def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:

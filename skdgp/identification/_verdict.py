@@ -49,6 +49,8 @@ COVERAGE = "interval_coverage"
 # Faults of a log that other findings follow from
 CAUSES = (Code.CONTRADICTION, Code.CHANNELS_TOGETHER, Code.WRONG_CLOCK, Code.SLOW_LOG)
 DOUBTS = (Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED)
+# Channels of which some are wrong
+DISPUTED = (Code.CONTRADICTION, Code.CHANNELS_TOGETHER, Code.WRONG_CLOCK, Code.SENSORS_DISAGREE)
 # For each use its limits, judgement and kinds of findings: the first that has a finding decides. A
 # "yes" needs a finding too; without any the judgement is "unknown".
 LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
@@ -59,6 +61,7 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("unknown", (Code.NOTHING_JUDGED,)),
         ("no", (Code.ALL_ERRORS_TOO_LARGE, Code.AIR_NOT_CONVERGED)),
         ("partly", (Code.ERRORS_TOO_LARGE, Code.BY_CONSTRUCTION, Code.NOT_VARYING, *DOUBTS)),
+        ("partly", DISPUTED),
         ("yes", (Code.ERRORS_SMALL,)),
     ),
     "simulate": (
@@ -66,7 +69,7 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("unknown", (Code.TOO_LITTLE_FLOWN, Code.TESTED_ON_COPY)),
         ("unknown", (Code.NOT_SIMULATED, Code.GUSTS_HIDE_ERRORS)),
         ("no", (Code.FOLLOWS_TOO_SHORTLY, Code.AIR_NOT_CONVERGED)),
-        ("partly", (Code.FOLLOWS_SHORTLY, *DOUBTS)),
+        ("partly", (Code.FOLLOWS_SHORTLY, *DOUBTS, *DISPUTED)),
         ("yes", (Code.FOLLOWS,)),
     ),
     "design a controller": (
@@ -77,7 +80,7 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("no", (Code.CONTROLS_MISSING,)),
         ("no", (Code.CONTROLS_TOO_UNCERTAIN, Code.BANDS_DO_NOT_HOLD, Code.TRIM_BEYOND)),
         ("partly", (Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
-        ("partly", (Code.ACCELERATIONS_AS_REGRESSORS,)),
+        ("partly", (Code.ACCELERATIONS_AS_REGRESSORS, *DISPUTED)),
         ("yes", (Code.CONTROLS_KNOWN,)),
     ),
 }  # fmt: skip

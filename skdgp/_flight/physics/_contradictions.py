@@ -45,7 +45,7 @@ def find_contradictions(flights: FlightTable) -> list[Finding]:
 
 
 def confirmed_channels(flights: FlightTable) -> set[str]:
-    """Return the channels that an equality of kinematics confirms and no law doubts; of others at most signs are known."""
+    """Return the channels that an equality of kinematics confirms and no law doubts; of others at most signs show."""
     contradictions, confirmed = _contradictions_in(signals_of(flights, CHANNELS))
     causes = _causes(contradictions, confirmed)
     return confirmed.difference(*[cause.channels for cause in causes])

@@ -29,7 +29,7 @@ class Code(Kind):
         "[flight {flight}: ]{channel} is stuck at {value:.4g}"
         + PLACE
         + NOT_MEASURED
-        + "; if it was, name the column in ignore"
+        + "; where it truly stood still, name the column in ignore"
     )
     IMPOSSIBLE = (
         "[flight {flight}: ]{channel} has impossible values, such as {value:.4g}"
@@ -76,8 +76,9 @@ class Code(Kind):
         "[the slope of {y} over {x} is {slope:.3g} ± {std:.2g}, but expected {expected}]"
         "[{y} is {lag:.2g} ± {std:.2g} s late against {x}][: {causes: or }?]"
         " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)",
-        "[{is_turned:A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas, of surfaces "
-        "of an autopilot's log by servos 'full throw, reversed NAME', or NAME = \"-25 deg\" in the servo file.}]",
+        "[{is_turned:A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas.}]"
+        "[{is_surface: Of surfaces of an autopilot's log by servos 'full throw, reversed NAME', or NAME = \"-25 deg\" "
+        "in the servo file.}]",
     )
     CHANNELS_TOGETHER = (
         "[flight {flight}: ]channels are wrong together[; other sign: {turned:, }][; exchanged: {exchanged:, }]"
@@ -124,7 +125,7 @@ class Code(Kind):
     ROWS_LEFT_OUT = (
         "flight {flight!r}: {left_out} of {rows} rows are left out[, because regressors are missing there "
         "(by rows: {missing})][; {alone} stand alone between gaps]",
-        "Bring slow sensors to the clock of the others if these are many.",
+        "If these are many, bring slow sensors to the clock of the others, and look at those that stood still.",
     )
     SENSOR_POSITIONS_DIFFER = (
         "flight {flight!r} states inertial sensors {distance:.2g} m from where the aircraft of the model has "
@@ -149,12 +150,12 @@ class Code(Kind):
         ASSUMPTION,
     )
     SIZES_QUESTIONED = (
-        "no aeroplane has these sizes",
-        "Outside of the limits: {laws}. Check these sizes, their units, and that they are of this aircraft: {asked}.",
+        "no aeroplane has these sizes[, by flight {flight}]",
+        "Outside of the limits: {laws}. Check that they are of this aircraft, and their units: is it {asked}?",
         DOUBT,
     )
     BROKEN_LAW = "{channel} is {value:.3g}, but of aeroplanes {least:g} to {most:g}"
-    ASKED_SIZE = "{channel} {value:.4g} {si_unit}[ ({given:.4g} {unit})]"
+    ASKED_SIZE = "{channel} {given:.4g} [{unit}, which is {value:.4g} ]{si_unit}"
     SIZES_ESTIMATED = (
         "sizes of the aircraft, with standard deviations: {sizes:.3g}",
         "Their part in errors of derivatives: the column ± of aircraft (std_aircraft).",

@@ -56,6 +56,7 @@ from skdgp.estimation._air_parameters import (
     FLIGHT_CONSTANTS,
     FLIGHT_NOISES,
     GUST_AXES,
+    SENSOR_CONSTANTS,
     GustProcesses,
     Parameters,
     derivatives_of,
@@ -153,8 +154,13 @@ class AirMotion:
         if not self.converged:
             parts.append("not converged: do not use")
         elif self.misfit > 1:
-            wider = f"{self.misfit:.1f} times as wide"
-            parts.append(f"biases of sensors are larger than usual ones: bands {wider}")
+            of_sensors = self.constants.index.str.split().str[0].isin((*SENSOR_CONSTANTS, *ARM))
+            found = self.constants[of_sensors]
+            worst = found.loc[[(found["value"] / found["prior_std"]).abs().idxmax()]]
+            size, usual = worst[["value", "prior_std"]].to_numpy()[0]
+            parts.append(
+                f"{worst.index[0]} is {size:.2g}, usual is 0 ± {usual:.2g}: bands {self.misfit:.1f} times as wide"
+            )
         return "; ".join(parts)
 
     @property

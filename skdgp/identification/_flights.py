@@ -206,7 +206,7 @@ def usable_flights(
         report(contradiction.of_flight(contradiction.flight or only), FlightDataWarning)
     question = aircraft.question_of_sizes(*numbers_in_flight(together, aircraft))
     if question is not None:
-        report(question)
+        report(question if aircraft.question_of_sizes() else question.of_flight(", ".join(checked)))
     usable = {}
     left_out: list[Finding] = []
     for name, flight in checked.items():

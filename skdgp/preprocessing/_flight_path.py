@@ -304,6 +304,11 @@ class FlightPathReconstruction(TableTransformer):
         else:
             flights = self._columns_by_air(table, motion)
         columns = pd.concat(flights).sort_index()
+        if columns["alpha"].abs().quantile(0.99) > np.pi / 2:
+            raise ValueError(
+                "Got flights that fly backwards by velocity, attitude and airspeed: correct the channels that "
+                "contradict each other (skdgp inspect)."
+            )
         new = by_name([*map(str, columns)], columns.to_numpy(float))
         if motion is not None:
             new |= deflections(table, self.servos_.lag)
@@ -383,7 +388,7 @@ def _disagreement(parts: Sequence[EstimatedFlight], found: list[Finding]) -> lis
     if any(each.channel == "accelerometer" for each in found):
         position, explained = apparent_arm([(flight.sensors, path) for flight, path in parts])
         if explained > LEAST_EXPLAINED:
-            arm = by_name([*"xyz"], position)
+            arm = dict(zip("xyz", position.tolist(), strict=True))
     doubt = Finding(
         Code.SENSORS_DISAGREE, contradictions=found, arm=arm, is_unexplained=arm is None
     )

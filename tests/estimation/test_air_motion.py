@@ -251,6 +251,7 @@ def test_improbable_constants_of_sensors_widen_all_bands():
     found = flight._replace(table=flight.table.assign(thrust_x=half)).estimate()
     assert right.misfit == 1.0
     assert found.misfit > 1.5
+    assert "thrust_scale is 0." in found.summary
     wider = found.derivatives["std"] / right.derivatives["std"]
     assert wider.median() > 0.8 * found.misfit
 

@@ -271,8 +271,8 @@ def test_a_fault_has_its_numbers(flight, change, numbers):
     assert {name: found.numbers[name] for name in numbers} == numbers
 
 
-@pytest.mark.parametrize("begin", [0.25, 0.75])
-def test_a_pitot_tube_may_be_blocked_at_any_time(begin):
+def turning():
+    """Return two minutes of turns in a steady wind, without positions."""
     time = np.arange(0.0, 120.0, 0.05)
     speed = 20.0 + 2.0 * np.sin(0.4 * time)
     psi = 0.1 * time
@@ -280,8 +280,12 @@ def test_a_pitot_tube_may_be_blocked_at_any_time(begin):
     log |= dict.fromkeys(["phi", "theta", "v_down"], 0.0 * time)
     noise = default_rng(1).normal(size=(7, len(time)))
     sound = pd.DataFrame(log) + 0.01 * noise[:6].T
-    sound["time"] = time
-    sound["airspeed"] = speed + 0.3 * noise[6]
+    return sound.assign(time=time, airspeed=speed + 0.3 * noise[6])
+
+
+@pytest.mark.parametrize("begin", [0.25, 0.75])
+def test_a_pitot_tube_may_be_blocked_at_any_time(begin):
+    sound = turning()
     assert contradictions(sound) == []
     (found,) = contradictions(from_part(begin, "airspeed", blocked)(sound))
     assert found.numbers["causes"] == ["a blocked pitot tube"]
@@ -309,6 +313,11 @@ def test_one_turned_elevon_is_named(flight, name):
 def test_exchanged_channels_are_named_as_such(flight, pair):
     (found,) = contradictions(then(without(*ELEVONS), exchange(*pair.split(" and ")))(flight))
     assert found.numbers["exchanged"] == [pair]
+
+
+def test_velocities_are_exchanged_without_positions_too():
+    (found,) = contradictions(EAST_NORTH(turning()))
+    assert found.numbers["exchanged"] == ["v_north and v_east"]
 
 
 def test_velocities_east_north_up_are_named_as_such(flight):

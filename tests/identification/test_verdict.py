@@ -297,6 +297,8 @@ def test_contradictions_of_several_channels_are_told_first_and_each():
     copied = Finding(Code.ALREADY_LEARNED, flight="monday")
     found = verdict(findings=[copied, *contradictions])
     assert found.findings == (*contradictions, copied)
+    for purpose in (PREDICT, SIMULATE, CONTROL):
+        assert use(found, purpose) == ("partly", {"CONTRADICTION"})
     assert [text.split()[0] for text in found.warnings[:2]] == ["p", "elevator"]
 
 

@@ -104,6 +104,7 @@ def test_scikit_learn_contract(one):
     assert not get_tags(one).input_tags.two_d_array
 
 
+@pytest.mark.filterwarnings("ignore:Sensors contradict")  # noise does
 class TestContract:
     def test_names_out_are_the_columns_that_come_out(self, fitted, out, table):
         assert list(out) == list(fitted.get_feature_names_out())

@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
+from skdgp._flight.findings import Code
 from skdgp.dynamics import Servos
 from skdgp.estimation import PATH_CHANNELS, air_columns, estimate_path, flights_of
 from skdgp.preprocessing import (
@@ -154,6 +155,7 @@ class TestRecovery:
         assert (truth.inv() * found).magnitude().max() < 0.006
         assert error(table, out, "alpha") < 0.0015
 
+    @pytest.mark.filterwarnings("ignore:Sensors contradict")
     def test_forces_are_moved_to_the_centre_of_gravity(self):
         """Sensors two metres ahead; their acceleration is that of the true rotation."""
         table = flown(20.0)
@@ -274,6 +276,7 @@ def wandering(table, names, std):
     return table.assign(**(table[names] + errors))
 
 
+@pytest.mark.filterwarnings("ignore:Sensors contradict")
 class TestInconsistent:
     """Whether the reconstruction is used: the truth, which the check does not see, says whether that is right."""
 
@@ -305,6 +308,23 @@ class TestInconsistent:
         path = reconstruction.transform(table)
         smooth = FlightSmoother().fit_transform(table)
         assert error(table, path, "alpha") > error(table, smooth, "alpha")
+
+    def test_inertial_sensors_elsewhere_are_told(self):
+        """In the nose of a long aircraft; the path follows a part of what they read, so they seem nearer."""
+        moved = elsewhere(flown(20.0, gusts=0.1), (30.0, 0.0, 0.0))
+        (doubt,) = fitted(moved).doubts_
+        arm = doubt.numbers["arm"]
+        assert 3.0 < arm["x"] < 30.0
+        assert abs(arm["y"]) + abs(arm["z"]) < arm["x"] / 2
+        (doubt,) = fitted(wandering(flown(20.0), EULER, 0.05)).doubts_
+        assert doubt.code is Code.SENSORS_DISAGREE
+        assert doubt.numbers["arm"] is None
+
+    def test_flights_do_not_fly_backwards(self):
+        table = flown(20.0).drop(columns=["alpha", "beta"])
+        table[["v_north", "v_east"]] *= -1.0
+        with pytest.raises(ValueError, match="fly backwards"):
+            FlightPathReconstruction().fit_transform(table)
 
     def test_it_is_used_after_correction_of_lags(self):
         table, _, best = reconstructed(seconds=20.0, gusts=0.3)

@@ -106,7 +106,7 @@ def _candidates(
         candidates = []
         if own.late and len(lags) > 1:
             candidates = [replace(own, lag=lag) for lag in sorted({*lags})]
-        elif not own.late and are_several:
+        elif not own.late and (are_several or not own.turned):
             candidates = [own]
         for candidate in candidates:
             yield candidate.finding, candidate.undone(signals)

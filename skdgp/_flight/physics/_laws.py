@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._flight.channels import ELEVONS, VANES, by_elevons
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, VANES, by_elevons
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics._regression import Regression, Slope, estimated_slope
 from skdgp._flight.physics._signals import PHYSICS, Signals
@@ -225,6 +225,7 @@ class Contradiction:
         expected = self.law.admissible.text
         unit = self.law.unit
         is_opposite = self.law.admissible.sign * value < 0
+        is_turned = bool(self.lag is None and is_opposite and self.slope.explained > 1)
         return Finding(
             Code.CONTRADICTION,
             channels=list(self.channels),
@@ -237,7 +238,8 @@ class Contradiction:
             correlation=self.slope.correlation,
             effective_samples=self.slope.n_effective,
             causes=causes,
-            is_turned=bool(self.lag is None and is_opposite and self.slope.explained > 1),
+            is_turned=is_turned,
+            is_surface=is_turned and not {*ALL_SURFACES}.isdisjoint(self.channels),
         )
 
 

@@ -480,6 +480,7 @@ MISTAKES = (
     Mistake(turned=("q", "theta")),
     Mistake(turned=("p", "phi")),
     Mistake(turned=("r", "psi")),
+    Mistake(exchanged=HORIZONTAL[:1]),
     Mistake(late=EARTH_VELOCITY),
     Mistake(late=RATES),
     Mistake(late=EULER),

@@ -235,7 +235,7 @@ def test_noise_questions_no_size(first_minute, train, name, factor, rows):
 
 
 def test_the_aircraft_is_judged_when_it_is_read():
-    with pytest.warns(FindingWarning, match=r"Check these .*span 11 m \(1100 cm\)"):
+    with pytest.warns(FindingWarning, match="is it .*span 1100 cm, which is 11 m"):
         Aircraft.estimate(1111.0, 1100.0)
     sizes = {"mass": 13.5, "span": 2.9, "wing_area": 0.55, "chord": 0.19}
     inertia = 1e4 * np.diag([0.8, 1.1, 1.8])
@@ -252,12 +252,17 @@ def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):
     ("mass", "span", "factor", "asked"),
     [
         (450.0, 2.8, 1.0, "mass .* kg"),
-        (45.0 / POUND, 2.8, 1.0, r"CL_alpha over .* mass 45 kg \(99.2.* lb\)"),
-        (45.0, 1.4, 1.0, r"CL_alpha over that of a wing .* span 2.8 m \(1.4 m of half the span\)"),
-        (45.0, 280.0, 1.0, r"span 2.8 m \(280 cm\)"),
-        (45.0, 2.8 / FOOT, 1.0, r"span 2.8 m \(9.186 ft\)"),
-        (45.0, 2.8, 1 / FOOT, r"airspeed 3\d.* m/s \(.* ft/s\)"),
-        (45.0, 2.8, 3.6, r"airspeed 3\d.* m/s \(.* km/h\)"),
+        (45.0 / POUND, 2.8, 1.0, r"CL_alpha over .* mass 99.2.* lb, which is 45 kg"),
+        (
+            45.0,
+            1.4,
+            1.0,
+            r"CL_alpha over that of a wing .* span 1.4 m of half the span, which is 2.8 m",
+        ),
+        (45.0, 280.0, 1.0, "span 280 cm, which is 2.8 m"),
+        (45.0, 2.8 / FOOT, 1.0, "span 9.186 ft, which is 2.8 m"),
+        (45.0, 2.8, 1 / FOOT, r"airspeed .* ft/s, which is 3\d.* m/s"),
+        (45.0, 2.8, 3.6, r"airspeed .* km/h, which is 3\d.* m/s"),
     ],
 )
 def test_flights_ask_for_the_wrong_size(mass, span, factor, asked, train):

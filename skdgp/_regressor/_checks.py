@@ -148,16 +148,15 @@ def standardize(
     """
     constant = constant_columns(Y)
     observed = np.isfinite(Y)
-    size = np.nanmax(np.abs(Y), axis=0)
     first = Y[observed.argmax(axis=0), range(Y.shape[1])]
     Y = np.where(constant & observed, first, Y)
     center = np.zeros(Y.shape[1])
     if centered:
         weighted = observed * (1.0 if weights is None else weights)
         mean = np.nansum(weighted * Y, axis=0) / weighted.sum(axis=0)
-        center = np.where(constant, np.nanmax(Y, axis=0), mean)
+        center = np.where(constant, first, mean)
     deviation = np.sqrt(np.nanmean((Y - center) ** 2, axis=0))
-    magnitude = np.where(size > 0, size, 1.0)
+    magnitude = np.where(first == 0.0, 1.0, np.abs(first))
     scale = np.where(constant, magnitude, deviation)
     return (Y - center) / scale, center, scale
 

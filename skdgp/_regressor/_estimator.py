@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.gaussian_process.kernels import Kernel
-from sklearn.utils import check_array, check_random_state
+from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, covariance_root
@@ -637,7 +637,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ``sample_weight`` (n,) are weights of the rows, by default equal ones.
         """
         mean = self.predict(X).reshape(len(X), -1)
-        Y = self._check_targets(y, mean.shape)
+        Y, *_ = _checks.check_targets(y, len(mean), type(self).__name__)
+        if Y.shape != mean.shape:
+            raise ValueError(
+                f"Got y of {Y.shape[1]} outputs, but expected {mean.shape[1]}: all outputs."
+            )
         return r2_of_observed(Y, mean, sample_weight)
 
     def _loading(self, X, factor):
@@ -658,17 +662,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
         return X
-
-    def _check_targets(self, y, shape):
-        """Return targets in a table of this shape; NaN where an output was not observed."""
-        Y = check_array(
-            y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y"
-        )
-        if Y.reshape(len(Y), -1).shape != shape:
-            raise ValueError(
-                f"Got y of shape {Y.shape}, but expected {shape}: a row for each of X, all outputs."
-            )
-        return Y.reshape(shape)
 
     def _regressor_names(self) -> list[str]:
         """Return the names of the regressors, or x0, x1, ... if they have none."""

@@ -347,7 +347,9 @@ class _Search:
             self._climb, bounds=bounds, blocks=self.blocks, max_iter=n_iter, least=least
         )
         for of_start in starts:
-            found.append(climb_from(*of_start))
+            is_hopeless = found and found[0].score() - price < score
+            if not is_hopeless:
+                found.append(climb_from(*of_start))
         for _ in range(self.options.n_restarts):
             found.append(climb_from(*redrawn(start, bounds, self.random_state)))
         best = max(found, key=lambda end: end.log_likelihood)

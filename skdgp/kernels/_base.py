@@ -525,16 +525,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return self.k1.n_processes + self.k2.n_processes
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
-        if not self.k2.couples(i, j):
-            return self.k1.block(i, j, Xi, Xj)
-        K = self.k2.block(i, j, Xi, Xj)
-        if self.k1.couples(i, j):
-            K += self.k1.block(i, j, Xi, Xj)
-        return K
+        coupled = [term for term in (self.k1, self.k2) if term.couples(i, j)]
+        return sum(term.block(i, j, Xi, Xj) for term in coupled or [self.k1])
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        first = self.k1.block_gradient(i, j, Xi, Xj, W)
-        return np.concatenate([first, self.k2.block_gradient(i, j, Xi, Xj, W)])
+        terms = (self.k1, self.k2)
+        return np.concatenate([term.block_gradient(i, j, Xi, Xj, W) for term in terms])
 
     def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
         n_first = self.k1.n_dims

@@ -430,7 +430,7 @@ def _starting_lengths(shared, X):
 
 
 def _directions(Y, n_latent, rng):
-    """Return directions (n_latent, P), first principal ones, then random ones; squares sum to one over the latents."""
+    """Return principal directions (n_latent, P), again after P; squares sum to one over the latents."""
     P = Y.shape[1]
     if n_latent == 0:
         return np.empty((0, P))
@@ -446,12 +446,10 @@ def _directions(Y, n_latent, rng):
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
     sizes = np.sqrt(np.maximum(values, SCATTER))
     principal = (vectors * sizes).T[::-1]
-    rows = principal[:n_latent]
-    if n_latent > P:
-        further = 0.5 * rng.normal(size=(n_latent - P, P))  # guess
-        rows = np.concatenate([rows, further[:, place]])
-    # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of
-    # the amplitude, so that outputs of the other sign start, and end, as the same model.
+    rows = principal[np.arange(n_latent) % P]
+    # A small perturbation, since an amplitude of exactly zero has no gradient, and equal ones have equal
+    # gradients. It takes the sign of the amplitude, so that outputs of the other sign start, and end, as
+    # the same model.
     perturbation = SCATTER * rng.normal(size=rows.shape)[:, place]
     rows = rows + perturbation * np.where(rows < 0, -1.0, 1.0)
     return rows / np.sqrt(np.sum(rows**2, axis=0))

@@ -27,6 +27,7 @@ from log_errors import (
     without,
     without_gravity,
 )
+from made_flights import wrapped
 from numpy.random import default_rng
 from scipy import signal
 from uav_flight import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, fly, logged
@@ -64,7 +65,7 @@ def smoothed(table):
     values[:, names.index("psi")] = np.unwrap(values[:, names.index("psi")])
     result = table.copy()
     result[names] = signal.sosfiltfilt(corner, values, axis=0)
-    return result.assign(psi=np.angle(np.exp(1j * result["psi"])))
+    return result.assign(psi=wrapped(result["psi"]))
 
 
 def ways(table, span):

@@ -17,6 +17,7 @@ import pandas as pd
 from _common import Kept, finish, parser_of
 from flight_columns import EULER, RATES, SURFACES, VELOCITY
 from jsbsim_flight import FLOWN, KNOTS, LEFT_OUT, TRAINING, flight_of, sensed
+from made_flights import wrapped
 
 from skdgp import make_identification_pipeline
 from skdgp.dynamics import (
@@ -66,7 +67,7 @@ def held(paths, stretches, horizon, level):
         for name in SCORED:
             low, middle, high = (band[name + end].iloc[k] for end in ("_low", "", "_high"))
             off = stretch[name][k] - middle
-            off = np.angle(np.exp(1j * off)) if name in EULER else off
+            off = wrapped(off) if name in EULER else off
             inside.append(low <= middle + off <= high)
     return 100.0 * np.mean(inside)
 

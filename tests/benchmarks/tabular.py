@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from _common import Kept, contest, finish, parser_of
 from _peers import EachOutput, Process, trees
+from made_flights import rms
 from scipy.io import arff
 from sklearn.impute import SimpleImputer
 from sklearn.linear_model import BayesianRidge
@@ -88,9 +89,9 @@ def scored(data, method):
     y = scaler.transform(truth)
     mean = np.reshape(mean, y.shape)
     std = np.reshape(std, y.shape)
-    spread = np.sqrt(np.mean(y**2, axis=0))
+    spread = rms(y)
     result = {
-        "error": np.mean(np.sqrt(np.mean((y - mean) ** 2, axis=0)) / spread),
+        "error": np.mean(rms(y - mean) / spread),
         "size": f"{len(X)}, {X.shape[1]}, {Y.shape[1]}",
     }
     if np.isfinite(std).all():

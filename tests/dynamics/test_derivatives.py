@@ -96,8 +96,8 @@ def flown():
     """Return a flight of `LEARNED`, and a regressor that learned from its time series. It is no mixture."""
     rng = default_rng(0)
     X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=LEARNED)
-    Y = np.sin(8 * X.to_numpy()) @ rng.normal(size=(3, 6))
-    Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
+    Y = (np.sin(8 * X) @ rng.normal(size=(3, 6))).set_axis(COEFFICIENTS, axis=1)
+    Y += 0.01 * rng.normal(size=Y.shape)
     options = {"structure": "joint", "max_iter": 15, "random_state": 0}
     model = DependentGPRegressor(n_latent=1, **options)
     errors = FunctionErrors(0.2 * rng.normal(size=(1, 4, 6)), np.zeros(3))
@@ -167,12 +167,11 @@ class TestDeviations:
 
         std = slope_std(covariance, at.to_numpy()[0]) * UNITS
         rows = table.index[table["regressor"].isin(LEARNED)][: 6 * 3]
-        ratio = table.loc[rows, "std"].to_numpy() / std.ravel()
-        assert_allclose(ratio, np.ones(18), atol=5 / np.sqrt(2 * n_paths))
+        ratio = table.loc[rows, "std"] / std.ravel()
+        assert_allclose(ratio, 1.0, atol=5 / np.sqrt(2 * n_paths))
         parts = table[["std_posterior", "std_errors"]]
         assert (parts.loc[rows] >= 0).all(axis=None)
-        whole = np.sqrt((parts**2).sum(axis=1)).to_numpy()
-        assert_allclose(whole, table["std"], rtol=1e-3)
+        assert_allclose(np.sqrt((parts**2).sum(axis=1)), table["std"], rtol=1e-3)
         assert (table.loc[["Cm_q", "Cm_elevator", "CL_alpha"], "std_merged"] > 0).all()
         assert table.loc["CL", "std_merged"] == 0
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from flight_columns import COEFFICIENTS, FORCES, SPIN
 from log_errors import elsewhere
-from made_flights import GLIDER
+from made_flights import GLIDER, rms
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -18,7 +18,7 @@ from skdgp.dynamics import aerodynamic_coefficients
 
 def relative(got, expected):
     """Root mean square errors over the standard deviations of the truth, (6,)."""
-    return np.sqrt(np.mean((got - expected) ** 2, axis=0)) / np.std(expected, axis=0)
+    return rms(got - expected) / np.std(expected, axis=0)
 
 
 def test_simulated_flight_gives_its_coefficients_back(simulated, aircraft, true_coefficients):

@@ -11,6 +11,7 @@ import pytest
 import uav_flight
 from flight_columns import FORCES, RATES, SPIN, SURFACES
 from log_errors import elsewhere, held
+from made_flights import rms
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 from pandas.testing import assert_frame_equal
@@ -368,13 +369,12 @@ def test_predictions_of_logged_rows_have_no_larger_errors_than_least_squares():
     """The function has the slopes of the aircraft, which are too steep for regressors with errors."""
     model, X = pipeline(), regressors_in_gusts()
     table = in_gusts().table
-    Y = aerodynamic_coefficients(table, in_gusts().aircraft).to_numpy()
+    Y = aerodynamic_coefficients(table, in_gusts().aircraft)
     design = np.column_stack([np.ones(len(X)), X])
     least_squares = design @ np.linalg.lstsq(design, Y, rcond=None)[0]
     mean = model.predict(table)
     of_rows, of_function, least = (
-        np.sqrt(np.mean((Y - predicted) ** 2, axis=0))
-        for predicted in (mean, model[-1].predict(X), least_squares)
+        rms(Y - predicted) for predicted in (mean, model[-1].predict(X), least_squares)
     )
     assert_array_less(of_rows, 1.03 * least)
     assert np.max(of_function / least) > 1.05

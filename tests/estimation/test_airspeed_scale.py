@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from made_flights import circling
+from made_flights import circling, rms
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
@@ -34,7 +34,7 @@ def test_the_standard_deviation_is_that_of_the_errors():
     found = [airspeed_scale(circling(0.5, gust=1.5, seed=seed)) for seed in range(60)]
     errors = np.array([(scale.value - 0.5) / scale.std for scale in found])
     assert abs(errors.mean()) < 4 / np.sqrt(60)
-    assert 0.8 < np.sqrt(np.mean(errors**2)) < 1.25
+    assert 0.8 < rms(errors) < 1.25
 
 
 def test_what_is_left_is_the_posterior_of_prior_and_band():

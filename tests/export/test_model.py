@@ -30,7 +30,7 @@ def test_equals_the_pipeline(case, noise, read):
 
 
 def test_regressors_are_those_of_the_pipeline(fitted, portable_of, flight, read):
-    expected = np.asarray(fitted("trend").pipeline[:-2].transform(flight))
+    expected = fitted("trend").pipeline[:-2].transform(flight)
     assert_allclose(read(portable_of("trend")).regressors(flight), expected, rtol=1e-12)
 
 

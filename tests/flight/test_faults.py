@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from flight_columns import VELOCITY
 from log_errors import held as sampled
-from made_flights import GLIDER, make_flight
+from made_flights import GLIDER, make_flight, wrapped
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -195,7 +195,7 @@ class TestBridging:
 
     def test_a_heading_is_bridged_the_short_way_round_south(self):
         table = log()
-        table["psi"] = np.angle(np.exp(1j * (3.0 + 0.02 * table["time"])))
+        table["psi"] = wrapped(3.0 + 0.02 * table["time"])
         out = checked(spoilt("psi", range(281, 286), np.nan, table))
         assert_allclose(np.exp(1j * out["psi"]), np.exp(1j * table["psi"]), atol=1e-9)
 
@@ -299,4 +299,4 @@ def test_dropouts_to_the_same_value_are_found_each_time():
 def test_a_turn_to_the_other_side_of_south_is_no_jump():
     table = attitude_of(log())
     heading = table["psi"] + np.linspace(0, 20, len(table))
-    assert ["psi", "jump"] not in faults(table.assign(psi=np.angle(np.exp(1j * heading))))
+    assert ["psi", "jump"] not in faults(table.assign(psi=wrapped(heading)))

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 import uav_flight
 from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
-from log_errors import exchange, scale, without
-from made_flights import flight_of_motion, lasting
+from log_errors import exchange, scale, with_channels, without
+from made_flights import flight_of_motion, lasting, wrapped
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy import signal
@@ -33,7 +33,8 @@ from skdgp.datasets import load_example_flights
 from skdgp.design import doublet
 from skdgp.dynamics import (
     air_velocity,
-    euler_to_matrix,
+    body_to_ned,
+    euler_to_quaternion,
     simulate,
     trim,
 )
@@ -121,9 +122,7 @@ def blocked(later):
 
 def mix(names, matrix):
     """Make channels of combinations of the elevons."""
-    return lambda flight: flight.assign(
-        **dict(zip(names, matrix @ flight[ELEVONS].to_numpy().T, strict=True))
-    )
+    return lambda flight: with_channels(flight, names, flight[ELEVONS] @ np.transpose(matrix))
 
 
 def held(rates):
@@ -147,13 +146,17 @@ def vibrating(flight):
     return shaken
 
 
+def to_earth(flight, vectors):
+    """Return vectors (n, 3) in body axes north, east and down."""
+    return body_to_ned(euler_to_quaternion(*(flight[name] for name in EULER)), vectors)
+
+
 def in_earth_axes(west):
     """Log accelerations north, east or west, and down, as inertial navigation systems do."""
 
     def change(flight):
-        rotation = euler_to_matrix(*(flight[name] for name in EULER))
-        force = np.einsum("nij,nj->ni", rotation, flight[FORCES].to_numpy())
-        return flight.assign(**dict(zip(FORCES, (force * [1.0, west, 1.0]).T, strict=True)))
+        force = to_earth(flight, flight[FORCES].to_numpy())
+        return with_channels(flight, FORCES, force * [1.0, west, 1.0])
 
     return change
 
@@ -164,7 +167,7 @@ def ahead(flight):
 
 def heading(degrees):
     """Count the heading from another north."""
-    return replaced(psi=lambda flight: np.angle(np.exp(1j * (flight["psi"] + degrees / DEGREES))))
+    return replaced(psi=lambda flight: wrapped(flight["psi"] + degrees / DEGREES))
 
 
 def ordinary(flight):
@@ -606,9 +609,8 @@ def test_a_surface_that_moves_in_few_rows_is_not_stuck():
 def test_a_simulated_airspeed_in_still_air_is_the_ground_speed(flight):
     """Without noise the wind is what both differ by, and of still air that is nothing."""
     through_air = air_velocity(*(flight[name] for name in ("airspeed", "alpha", "beta")))
-    rotation = euler_to_matrix(*(flight[name] for name in EULER))
     still = ordinary(flight)
-    still[VELOCITY] = np.einsum("nij,nj->ni", rotation, through_air)
+    still[VELOCITY] = to_earth(flight, through_air)
     level = still.assign(airspeed=np.hypot(still["v_north"], still["v_east"]))
     assert "airspeed" not in [finding.numbers["y"] for finding in contradictions(level)]
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import rms
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import signal
@@ -21,10 +22,6 @@ def noisy_sine(n=2400, noise=0.05, frequency=0.4, seed=0):
     time = clock(n)
     truth = np.sin(2 * np.pi * frequency * time + 0.3)
     return time, truth, truth + default_rng(seed).normal(0, noise, n)
-
-
-def rms(error):
-    return np.sqrt(np.mean(np.square(error), axis=0))
 
 
 def filtered(values, time, flight=None, **options):

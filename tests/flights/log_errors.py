@@ -37,9 +37,14 @@ def elsewhere(table, place, spin=None):
     return moved
 
 
+def with_channels(table, names, values):
+    """Return a table with other values (n, k) of channels."""
+    return table.assign(**dict(zip(names, np.transpose(values), strict=True)))
+
+
 def placed(table, place):
     """Return a table that states where its inertial sensors are."""
-    return table.assign(**dict(zip(POSITION, place, strict=True)))
+    return with_channels(table, POSITION, place)
 
 
 def late(table, seconds, names):

@@ -71,6 +71,16 @@ def circling(scale=0.0, heading_error=0.0, gust=0.0, turns=2.0, seed=3):
     )
 
 
+def rms(error):
+    """Return the root mean square over the rows."""
+    return np.sqrt(np.mean(np.square(error), axis=0))
+
+
+def wrapped(angle):
+    """Return an angle between -pi and pi."""
+    return np.angle(np.exp(1j * angle))
+
+
 def lasting(rng, shape, memory):
     """Return noise of variance 1 whose correlation falls by e in ``memory`` rows."""
     keep = np.exp(-1 / memory)

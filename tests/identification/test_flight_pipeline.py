@@ -260,8 +260,8 @@ class TestLeastSquares:
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizon=2.0
         )
         targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 120)
-        rows = targets.notna().all(axis=1).to_numpy()
-        X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
+        rows = targets.notna().all(axis=1)
+        X, Xt = (result.pipeline[:-1].transform(table) for table in (train, test))
         linear = LinearRegression().fit(X[rows], targets[rows])
         (evaluation,) = result.evaluations
         assert_allclose(evaluation.baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import COEFFICIENTS, FORCES, SURFACES
-from log_errors import placed
+from log_errors import placed, with_channels
 from made_flights import GLIDER, make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -70,7 +70,7 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
     errors = learned_errors(table.assign(sensor_tilt=0.03), GLIDER, X, known, None, Servos(), 0.0)
     assert len(errors.weights) == len(without.weights) + 2  # roll and pitch
     turned = Rotation.from_euler("y", 0.03).apply(table[FORCES])
-    tilted = table.assign(**dict(zip(FORCES, turned.T, strict=True)))
+    tilted = with_channels(table, FORCES, turned)
     measured, level = (
         aerodynamic_coefficients(each, GLIDER, thrust=None) for each in (tilted, table)
     )
@@ -103,7 +103,7 @@ def test_a_servo_that_is_slower_and_less_late_changes_slopes_by_what_is_added(fl
         """Return the regressors with deflections behind their commands."""
         time = table["time"].to_numpy()
         early = CubicSpline(time, commands[SURFACES])(time - delay)
-        return commands.assign(**dict(zip(SURFACES, servo_output(early, lag, STEP).T, strict=True)))
+        return with_channels(commands, SURFACES, servo_output(early, lag, STEP))
 
     X = behind(servos.lag, 0.0)
     known = least_squares_of(X, X @ slopes)
@@ -162,7 +162,7 @@ def test_an_airspeed_that_is_too_large_scales_coefficients_and_slopes(flown):
 def test_a_model_has_them_in_its_band(flown):
     """In units before the scaler, of which the model learns."""
     table, X, slopes = flown
-    Y = pd.DataFrame(X.to_numpy() @ slopes + 0.01, columns=COEFFICIENTS)
+    Y = (X @ slopes + 0.01).set_axis(COEFFICIENTS, axis=1)
     model = make_identification_pipeline(
         GLIDER,
         regressors=REGRESSORS,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import COEFFICIENTS, WIND
-from made_flights import LINEAR_GLIDER
+from made_flights import LINEAR_GLIDER, rms
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -74,7 +74,7 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
     """Return a flight whose errors are these parts of the spread, exactly."""
     measured, noise = default_rng(0).normal(size=(2, n, 6))
     measured = (measured - measured.mean(axis=0)) / measured.std(axis=0)
-    noise /= np.sqrt((noise**2).mean(axis=0))
+    noise /= rms(noise)
     error = np.broadcast_to(error, 6)
     time = 0.05 * np.arange(n)
     prediction_std = error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6))
@@ -168,7 +168,7 @@ def errors_of(*tables, elevator=-1.0):
 
 def test_one_error_and_one_coverage():
     found = verdict([evaluation(error=0.1), evaluation("b", error=0.3)])
-    assert_allclose(found.error, np.sqrt((0.1**2 + 0.3**2) / 2))
+    assert_allclose(found.error, rms([0.1, 0.3]))
     assert_allclose(found.coverage, 0.95, rtol=0, atol=0.01)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flight_columns import FORCES, SURFACES
+from made_flights import wrapped
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
@@ -44,7 +45,7 @@ def assert_is(table, flight, names):
         error = inside[name] - flight[name](inside.time)
         if name == "psi":
             assert_allclose(table.psi, 0.0, atol=np.pi)
-            error = np.angle(np.exp(1j * error))
+            error = wrapped(error)
         bound = max(TOLERANCE.get(name, LOOSE), 5e-4 * abs(flight.SIZES[name][1]))
         assert_allclose(error, 0.0, atol=bound, err_msg=name)
 

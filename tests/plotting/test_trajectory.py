@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+from made_flights import wrapped
 from matplotlib.figure import Figure
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -17,7 +18,7 @@ def ensemble(n_paths=20):
     turn = rng.normal(0, 0.05, n_paths)
     parts = [
         pd.DataFrame({"start": 0, "path": k, "time": TIME + 7, "airspeed": 30 + speed[k] * TIME,
-                      "psi": np.angle(np.exp(1j * (3.0 + (0.3 + turn[k]) * TIME))), "beyond": "", "ended": ""})
+                      "psi": wrapped(3.0 + (0.3 + turn[k]) * TIME), "beyond": "", "ended": ""})
         for k in range(n_paths)
     ]  # fmt: skip
     return pd.concat(parts, ignore_index=True)

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from flight_columns import RATES, SURFACES
 from log_errors import elsewhere, placed
-from made_flights import make_flight
+from made_flights import make_flight, rms
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -82,7 +82,7 @@ class TestEstimate:
         for seed in range(16):
             found = found_in(linear_aircraft(seed, air=0.06, seconds=40)).loc["air"]
             errors.append((found["lag"] - 0.06) / found["std"])
-        assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.7
+        assert 0.3 < rms(errors) < 1.7
 
     @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03)])
     def test_commands_are_told_from_deflections_by_lag_and_delay(self, servos, delay):

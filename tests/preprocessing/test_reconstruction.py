@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import AIR, EULER, FORCES, POSITION, RATES, VELOCITY, WIND
-from log_errors import elsewhere, late
-from made_flights import GLIDER, flight_of_motion, lasting
+from log_errors import elsewhere, late, with_channels
+from made_flights import GLIDER, flight_of_motion, lasting, rms, wrapped
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -97,15 +97,15 @@ def reconstructed(**options):
 
 def true(table, names):
     """Return channels without noise, (n, k)."""
-    return table[[f"{name}_true" for name in names]].to_numpy()
+    return table[[f"{name}_true" for name in names]]
 
 
 def error(table, out, name):
     """Root mean square."""
     gap = out[name] - table[f"{name}_true"]
     if name in ("phi", "psi"):
-        gap = np.angle(np.exp(1j * gap))
-    return np.sqrt(np.mean(gap**2))
+        gap = wrapped(gap)
+    return rms(gap)
 
 
 def assert_near(table, out, limits):
@@ -286,7 +286,7 @@ class TestInconsistent:
             (lambda table: wandering(table, EULER, 0.05), "gyro", False),
             (lambda table: wandering(table, VELOCITY, 2.0), "accelerometer", False),
             (
-                lambda table: table.assign(**dict(zip(AIR, true(table, AIR).T, strict=True))),
+                lambda table: with_channels(table, AIR, true(table, AIR)),
                 "alpha",
                 True,
             ),

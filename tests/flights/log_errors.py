@@ -39,7 +39,7 @@ def elsewhere(table, place, spin=None):
 
 def with_channels(table, names, values):
     """Return a table with other values (n, k) of channels."""
-    return table.assign(**dict(zip(names, np.transpose(values), strict=True)))
+    return table.assign(**dict(zip(names, np.asarray(values).T, strict=True)))
 
 
 def placed(table, place):

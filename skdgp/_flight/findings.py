@@ -81,9 +81,8 @@ class Code(Kind):
         "in the servo file.}]",
     )
     CHANNELS_TOGETHER = (
-        "[flight {flight}: ]channels are wrong together[; other sign: {turned:, }][; exchanged: {exchanged:, }]"
-        "[; late by about {lag:.2g} s: {late:, }]"
-        "[; as in axes {axes}]",
+        "[flight {flight}: ]channels are probably[ exchanged ({exchanged:, })][ of the other sign ({turned:, })]"
+        "[ late by about {lag:.2g} s ({late:, })][, as in axes {axes}]",
         "[{is_frame:Body axes are forward, right, down, those of the earth north, east, down.}]"
         "[ Signs of {turned:, } in a table are turned by table.NAME *= -1 and table.to_csv of pandas.]"
         "[{from_east: The heading counts from north to the right: write pi/2 - psi.}]"

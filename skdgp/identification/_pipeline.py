@@ -357,11 +357,12 @@ class FlightPipeline(Pipeline):
         elif np.shape(y)[1:] == (len(COEFFICIENTS),) and not isinstance(y, pd.DataFrame):
             y = pd.DataFrame(y, columns=[*COEFFICIENTS])
         self.n_observed_ = _n_observed(y)
-        y = self._thinned(y)
+        every, y = y, self._thinned(y)
         regressors = np.asarray(others.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
         self.steps = [*first.steps, *others.steps, self.steps[-1]]
-        y = observed_at(y, self._servos_settled(flights))
+        settled = self._servos_settled(flights)
+        every, y = observed_at(every, settled), observed_at(y, settled)
         self.n_learned_ = _n_observed(y)
         self._learn_flights(flights)
         name, last = self.steps[-1]
@@ -374,7 +375,7 @@ class FlightPipeline(Pipeline):
             facts = {
                 "time": flights.get("time"),
                 "flight": flights.get("flight"),
-                "slopes": partial(self._known_slopes, regressors, y, flights),
+                "slopes": partial(self._known_slopes, regressors, every, flights),
                 "errors": self.log_errors_,
             }
             parameters = facts | parameters
@@ -406,6 +407,7 @@ class FlightPipeline(Pipeline):
     ) -> KnownSlopes | None:
         """Return slopes that noise of the regressors X (n, d) does not flatten, None where flights do not show them.
 
+        By targets y (n, P) at the full rate: few rows are too few for many instruments.
         Without vanes those that the motion of the air shows, or where gusts are not known by least
         squares with the deviations of small aircraft in general. Else those by instruments of what ``predict`` lacks.
         """

@@ -160,6 +160,17 @@ def test_logged_rows_are_predicted_as_the_samples_say_in_any_air(flights, test_f
     assert np.abs((pipeline[-1].predict(X) - alone) / size).max() > 0.01
 
 
+def test_errors_of_slopes_by_instruments_are_of_every_row(flights):
+    regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
+    errors = []
+    for samples in (100, 4000):
+        pipeline = make_identification_pipeline(
+            flights.aircraft, regressor=regressor, samples=samples
+        )
+        errors.append(pipeline.fit(flights.train)[-1].slopes_.errors)
+    assert_allclose(*errors, rtol=1e-6)
+
+
 def test_the_scaler_may_be_left_out_or_another(model, few, test_flight):
     """Least squares beside the model are in units, and the same."""
     rows, targets = few

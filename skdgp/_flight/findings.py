@@ -148,6 +148,11 @@ class Code(Kind):
         "Effects are of a full throw.",
         ASSUMPTION,
     )
+    SURFACES_ABSENT = (
+        "the aircraft has no {names: and no }, as the flights have no such column",
+        "If it has, give the column: the coefficients of what moves with it take its effect.",
+        ASSUMPTION,
+    )
     SIZES_QUESTIONED = (
         "no aeroplane has these sizes[, by flight {flight}]",
         "Outside of the limits: {laws}. Check that they are of this aircraft, and their units: is it {asked}?",

@@ -52,7 +52,7 @@ from skdgp.identification._pipeline import (
     step_of,
 )
 from skdgp.io import FULL_THROW
-from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector, RegressorSelector
 
 # columns that the coefficients follow from
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
@@ -198,8 +198,16 @@ def identify(
         fit=fit,
         train={name: flight.table for name, flight in train.items()},
         evaluations=evaluations,
-        findings=(*assumed_sizes(aircraft, model.errors_), *named),
+        findings=(*assumed_sizes(aircraft, model.errors_), *_absent_surfaces(model), *named),
     )
+
+
+def _absent_surfaces(model: FlightPipeline) -> list[Finding]:
+    """Return the assumption that surfaces without a column are absent; a missing elevator is warned of."""
+    selector = step_of(model, RegressorSelector)
+    missing = [] if selector is None else selector.absent_
+    absent = [name for name in missing if name in ("aileron", "rudder")]
+    return [Finding(Code.SURFACES_ABSENT, names=absent)] if absent else []
 
 
 def _unknown_lag(model: FlightPipeline, fit: Bunch) -> list[Finding]:

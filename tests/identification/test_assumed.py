@@ -208,6 +208,14 @@ def test_a_surface_of_another_name(said_of):
 
 
 @pytest.mark.usefixtures("no_mechanics")
+def test_surfaces_without_a_column_are_taken_to_be_absent():
+    found = briefly(table(200).drop(columns="rudder", errors="ignore"), UNKNOWN)
+    (absent,) = [each for each in found.findings if each.code.name == "SURFACES_ABSENT"]
+    assert absent.numbers["names"] == ["rudder"]
+    assert absent.text in found.assumed
+
+
+@pytest.mark.usefixtures("no_mechanics")
 def test_no_elevator():
     flight = table(200).drop(columns="elevator")
     both = flight.assign(elevon_left=0.1 * flight["alpha"], elevon_right=0.1)

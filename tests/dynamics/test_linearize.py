@@ -140,8 +140,7 @@ class TestServos:
         for states, inputs in ("AB", "CD"):
             found, expected = getattr(late, states), getattr(linear, states)
             assert_frame_equal(found.loc[expected.index, body], expected)
-            effects = getattr(linear, inputs)[SURFACES]
-            assert_allclose(found.loc[expected.index, POSITIONS], effects)
+            assert_allclose(found.loc[expected.index, POSITIONS], getattr(linear, inputs)[SURFACES])
             assert not getattr(late, inputs).loc[expected.index, SURFACES].any(axis=None)
         columns = ["eigenvalue", "frequency", "damping", "time_constant"]
         assert_frame_equal(late.modes()[columns], linear.modes()[columns])
@@ -149,8 +148,7 @@ class TestServos:
 
 def test_paths_have_the_errors_of_lag_and_delay_of_the_servos():
     """Longer lags with shorter delays, and no lag below what servos have."""
-    servos = Servos(lag=0.03, delay=0.02, lag_std=0.02, delay_std=0.01)
-    lags, delays = servos.drawn(4000, 0)
+    lags, delays = Servos(lag=0.03, delay=0.02, lag_std=0.02, delay_std=0.01).drawn(4000, 0)
     assert_allclose(lags.min(), 0.01, rtol=0.01)
     assert delays.min() == 0.0
     assert np.corrcoef(lags, delays)[0, 1] < -0.9

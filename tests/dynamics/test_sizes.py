@@ -163,8 +163,8 @@ def test_an_error_of_the_wing_area_is_one_of_the_lift(first_minute, latlon):
     _, exact = numbers_in_flight(flights, replace(aircraft, deviations={}))
     numbers, stds = numbers_in_flight(flights, replace(aircraft, deviations=error))
     assert_allclose(stds["CL"], 0.1 * numbers["CL"])
-    of_area = 0.065 * abs(numbers["CZ_alpha"])
-    assert_allclose(stds["CZ_alpha"], np.hypot(exact["CZ_alpha"], of_area))
+    expected = np.hypot(exact["CZ_alpha"], 0.065 * numbers["CZ_alpha"])
+    assert_allclose(stds["CZ_alpha"], expected)
 
 
 def names_asked(aircraft, table):

@@ -326,8 +326,6 @@ def px4(flight):
         return 1500 + 1000 * flight.at(t, "aileron", "elevator", "rudder", "rudder")
 
     valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), True)
-    position = {"x": "north", "y": "east", "z": "down"}
-    velocity = {"vx": "v_north", "vy": "v_east", "vz": "v_down"}
     indicated = {"indicated_airspeed_m_s": lambda t: 0.9 * flight["airspeed"](t)}
     add("vehicle_angular_velocity", 200, xyz="p q r")
     add("vehicle_acceleration", 100, delay=0.0017, xyz="ax ay az")
@@ -335,7 +333,10 @@ def px4(flight):
     add("airspeed", 20, true_airspeed_m_s="airspeed", **indicated)
     add("airflow_aoa", 25, aoa_rad="alpha")
     add("airflow_slip", 25, slip_rad="beta")
-    add("vehicle_local_position", 30, **position, **velocity, **valid)
+    add(
+        "vehicle_local_position", 30, x="north", y="east", z="down",
+        vx="v_north", vy="v_east", vz="v_down", **valid,
+    )  # fmt: skip
     add("vehicle_global_position", 10, alt="altitude")
     add("vehicle_air_data", 15, rho="density")
     add("wind", 2, windspeed_north="wind_north", windspeed_east="wind_east")
@@ -371,19 +372,23 @@ def ardupilot(flight):
     def yaw(t):
         return "C", flight["psi"](t) * DEGREE % 360
 
-    velocity = {"VN": "v_north", "VE": "v_east", "VD": "v_down"}
     add("IMU", 100, I=zero, GyrX="p", GyrY="q", GyrZ="r", AccX="ax", AccY="ay", AccZ="az")
     add("ATT", 50, delay=0.004, code="c", factor=DEGREE, Roll="phi", Pitch="theta", Yaw=yaw)
     add("ARSP", 20, I=zero, Airspeed=flight.equivalent_airspeed, H=("B", 1))
     add("AOA", 20, factor=DEGREE, AOA="alpha", SSA="beta")
-    add("XKF1", 25, C=zero, **velocity, PN="north", PE="east", PD="down")
+    add(
+        "XKF1", 25, C=zero, VN="v_north", VE="v_east", VD="v_down",
+        PN="north", PE="east", PD="down",
+    )  # fmt: skip
     add("XKF2", 25, C=zero, VWN="wind_north", VWE="wind_east")
     add("POS", 10, Lat=("L", -9.1234567), Alt="altitude")
     add("BARO", 10, I=zero, Press=flight.pressure)
     add("CTUN", 10, factor=100, ThO="throttle")
     add("RPM", 10, factor=30 / np.pi, rpm1="propeller_speed", rpm2=0.0)
-    outputs = {"C1": pulse("aileron"), "C2": pulse("elevator", -1000), "C3": ("H", 1100)}
-    add("RCOU", 50, code="H", **outputs, C4=pulse("rudder"))
+    add(
+        "RCOU", 50, code="H", C1=pulse("aileron"), C2=pulse("elevator", -1000), C3=("H", 1100),
+        C4=pulse("rudder"),
+    )  # fmt: skip
     return bytes(log)
 
 

@@ -416,8 +416,7 @@ class TestVehicles:
         log = as_vtol(px4(), np.where(HOVERS, 3, 4))
         lift = [0.5] * 8 + [np.nan]
         push = [np.nan] * 8 + [0.7]
-        commands = np.where(HOVERS[:, None], lift, push)
-        log.topic("actuator_motors", SLOW, control=commands)
+        log.topic("actuator_motors", SLOW, control=np.where(HOVERS[:, None], lift, push))
         table = told("rotors lift", log)
         assert_allclose(table.throttle[table.time > 20.5], 0.7, rtol=1e-6)
 

@@ -90,8 +90,7 @@ def test_a_vtol_is_read_in_forward_flight_alone(
     """It hovers until 20 s, by MAV_VTOL_STATE, or by QHOVER (18), also of MAV_TYPE 20."""
 
     def telling(message):
-        sent = vehicle.decode(bytearray(message[8:]))
-        hovers = sent.time_usec < 20e6
+        hovers = vehicle.decode(bytearray(message[8:])).time_usec < 20e6
         if told_by == "state":
             return [mavlink.MAVLink_extended_sys_state_message(3 if hovers else 4, 2)]
         kind = 20 if told_by == "tailsitter" else 1

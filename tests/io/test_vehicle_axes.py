@@ -94,8 +94,8 @@ def test_the_airspeed_before_a_new_ratio_is_scaled_to_it(told, dataflash, flight
     """V^2 is the ratio times the pressure difference (ARSPD_AUTOCAL changes it in flight)."""
     log = dataflash_log(dataflash, flight, Rotation.identity(), ARSPD_RATIO=2.0)
     time = flight.time(10)
-    ratio = np.where(time < 25.05, 2.0, 2.88)
-    log.topic("ARSP", time, **ARSPD, Airspeed=np.sqrt(ratio * 100.0))
+    pressure_times_ratio = np.where(time < 25.05, 200.0, 288.0)
+    log.topic("ARSP", time, **ARSPD, Airspeed=np.sqrt(pressure_times_ratio))
     changes = (25_050_000, b"ARSPD_RATIO", 2.88), (20_000_000, b"ARSPD_RATIO", 2.0)
     log.rows("PARM", "QNf", "TimeUS,Name,Value", changes)
     # out of order in the file

@@ -71,8 +71,7 @@ class TestEveryMetric:
         flat = value(metric, y.ravel(), mean.ravel(), std.ravel())
         assert isinstance(flat, float)
         assert_allclose(value(metric, y, mean, std), flat, rtol=1e-12)
-        tables = map(pd.DataFrame, (y, mean, std))
-        assert_allclose(value(metric, *tables), flat, rtol=1e-12)
+        assert_allclose(value(metric, *map(pd.DataFrame, (y, mean, std))), flat, rtol=1e-12)
 
     def test_output_never_observed(self, metric):
         y, mean, std = sample()

@@ -198,8 +198,7 @@ class TestWords:
     def test_many_flights_are_a_table_and_the_three_worst_have_figures(self):
         good = result(100)
         bad = replace(good, mean=good.mean + 10 * default_rng(0).normal(size=(100, 6)))
-        better = replace(good, mean=good.measured)
-        flights = {"a": better, "b": good, "c": bad, "d": good}
+        flights = {"a": replace(good, mean=good.measured), "b": good, "c": bad, "d": good}
         tested = [replace(flight, name=name) for name, flight in flights.items()]
         html = render(evaluations=tested, train={})
         assert "Coefficients of c" in html

@@ -55,8 +55,7 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, blocks_of, tmp_path, mon
     for number, block in enumerate(blocks_of(page), start=1):
         exec(compile(block, f"{page.name}, block {number}", "exec"), names)
     if "matplotlib" in page.read_text(encoding="utf-8"):
-        plt = pytest.importorskip("matplotlib.pyplot")
-        plt.close("all")
+        pytest.importorskip("matplotlib.pyplot").close("all")
 
 
 def test_code_of_every_page_runs_somewhere():

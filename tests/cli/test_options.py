@@ -122,5 +122,4 @@ def test_help_explains_every_option(name, help_of):
     usage, _, rest = text.partition("\n\n")
     explained = re.findall(r"^  (?:-\w.*?, )?(--[\w-]+|[A-Z]+)[^\n]*?(?:  +|\n +)\S", rest, re.M)
     assert set(re.findall(r"--[\w-]+", usage)) <= {*explained}
-    reads_a_model = "MODEL" in usage
-    assert ("loading runs code" in " ".join(text.split())) == reads_a_model
+    assert ("loading runs code" in " ".join(text.split())) == ("MODEL" in usage)

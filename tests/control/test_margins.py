@@ -126,8 +126,8 @@ def test_a_spiral_does_not_count_where_the_roll_loop_is_open(with_spiral):
 
 def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_not_the_pitch_loops(with_spiral):
     """The elevator does not move the spiral."""
-    weak = PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}
-    roll, pitch, _ = autopilot_loops(weak, FULL)
+    weak = {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}
+    roll, pitch, _ = autopilot_loops(PX4 | weak, FULL)
     table = margins(with_spiral, [roll, pitch])
     assert table["value"]["roll"]["gain"] == -np.inf
     assert np.isfinite(table["value"]["pitch"]).all()
@@ -153,8 +153,7 @@ def test_the_rudder_follows_the_roll_loop(parameters, mix, linear):
     B, D = linear.B.copy(), linear.D.copy()
     for table in (B, D):
         table["aileron"] += ratio * table["rudder"]
-    linked = replace(linear, B=B, D=D, paths=None)
-    expected = margins(linked, [loop])["value"]["roll"]
+    expected = margins(replace(linear, B=B, D=D, paths=None), [loop])["value"]["roll"]
     assert_allclose(margins(linear, [mixed])["value"]["roll"], expected, rtol=1e-6)
     assert not np.allclose(margins(linear, [loop])["value"]["roll"], expected, rtol=1e-3)
 
@@ -269,8 +268,8 @@ def linear_of_path(linear, number):
     tables = {}
     for name in "ABCD":
         table = getattr(linear, name)
-        array = getattr(linear.paths, name)[number]
-        tables[name] = pd.DataFrame(array, table.index, table.columns)
+        path = getattr(linear.paths, name)[number]
+        tables[name] = pd.DataFrame(path, table.index, table.columns)
     return replace(linear, **tables, paths=None)
 
 

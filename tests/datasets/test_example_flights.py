@@ -43,8 +43,7 @@ def flight(request, data):
 
 class TestEquationsOfFlight:
     def test_wind_triangle(self, flight):
-        wind = true(flight, *WIND)
-        through_air = true(flight, "v_north", "v_east", "v_down") - wind
+        through_air = true(flight, "v_north", "v_east", "v_down") - true(flight, *WIND)
         relative = np.einsum("nji,nj->ni", rotation(flight), through_air)
         air = np.stack(air_data(relative), axis=-1)
         assert_allclose(air, true(flight, "airspeed", "alpha", "beta"), atol=1e-11)

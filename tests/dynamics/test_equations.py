@@ -82,8 +82,8 @@ def test_with_alpha_dot_the_rest_of_it_is_uncertain():
     """By 0.4 times the derivatives by q, and 0.2 times those by r."""
     none = np.zeros((6, 2))
     motion = Motion(linear(["alpha_dot_hat", "beta_dot_hat"], [none]), GLIDER, thrust=None)
-    slopes = np.column_stack([SLOPES, none])
-    K, S, M = unsteady_terms(motion, motion.at(state_of(), HELD), slopes)
+    at = motion.at(state_of(), HELD)
+    K, S, M = unsteady_terms(motion, at, np.column_stack([SLOPES, none]))
     assert not M.any()
     errors = -K[:, None] * S.T
     assert_allclose(errors[4, 8], [0.4 * SLOPES[4, 3], 0.0])

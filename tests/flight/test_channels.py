@@ -116,8 +116,7 @@ def test_error_of_the_curve_is_half_of_the_curvature_between_samples():
     samples = np.arange(0, 41, 4)
     number = np.arange(41) / 4
     error = error_between_samples(TIME[:41], number**2, samples)
-    fraction = number % 1
-    expected = 1.0 - (2 * fraction - 1) ** 2
+    expected = 1.0 - (2 * (number % 1) - 1) ** 2
     assert_allclose(error[8:-8], expected[8:-8], atol=1e-12)
     assert_allclose(error[samples], 0.0, atol=1e-12)
 

@@ -325,17 +325,19 @@ def px4(flight):
     def pulses(t):
         return 1500 + 1000 * flight.at(t, "aileron", "elevator", "rudder", "rudder")
 
-    valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), True)
-    indicated = {"indicated_airspeed_m_s": lambda t: 0.9 * flight["airspeed"](t)}
     add("vehicle_angular_velocity", 200, xyz="p q r")
     add("vehicle_acceleration", 100, delay=0.0017, xyz="ax ay az")
     add("vehicle_attitude", 50, delay=0.003, q=quaternion)
-    add("airspeed", 20, true_airspeed_m_s="airspeed", **indicated)
+    add(
+        "airspeed", 20, true_airspeed_m_s="airspeed",
+        indicated_airspeed_m_s=lambda t: 0.9 * flight["airspeed"](t),
+    )  # fmt: skip
     add("airflow_aoa", 25, aoa_rad="alpha")
     add("airflow_slip", 25, slip_rad="beta")
     add(
         "vehicle_local_position", 30, x="north", y="east", z="down",
-        vx="v_north", vy="v_east", vz="v_down", **valid,
+        vx="v_north", vy="v_east", vz="v_down",
+        xy_valid=True, z_valid=True, v_xy_valid=True, v_z_valid=True,
     )  # fmt: skip
     add("vehicle_global_position", 10, alt="altitude")
     add("vehicle_air_data", 15, rho="density")
@@ -353,8 +355,9 @@ def px4_servos():
     """Return the calibration of the servos of that log."""
     servos = {}
     for n, name in enumerate(("aileron", "elevator", "rudder")):
-        channel = f"actuator_outputs.output[{n}]"
-        servos[name] = {"channel": channel, "points": [[1000, -0.5], [2000, 0.5]]}
+        servos[name] = {
+            "channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]],
+        }  # fmt: skip
     return servos
 
 

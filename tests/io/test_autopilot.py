@@ -262,15 +262,13 @@ class TestRefusals:
         refused(words, px4, "log.bin")
         refused(words, ardupilot, "log.ulg")
 
-    ABSENT = {"rudder": {"channel": "RCOU.C4", "points": [[0, 0], [1, 1]]}}
-
     @pytest.mark.parametrize(
         ("options", "message"),
         [
             ({"airborne": -1.0}, "airborne=-1.0, but expected True"),
             ({"servos": {"canard": {}}}, "'canard' in the servo file"),
             (
-                {"servos": ABSENT},
+                {"servos": {"rudder": {"channel": "RCOU.C4", "points": [[0, 0], [1, 1]]}}},
                 r"'RCOU.C4' for rudder, but the log has no such field: expected one of .*'actuator_outputs'",
             ),
         ],
@@ -454,8 +452,7 @@ class TestRates:
         time = time[logged]
         table = recorded(time, time)
         before = time[time < 4].max() + 1e-9
-        after = time[time > 4].min() - 1e-9
-        inside = table["time"].between(before, after)
+        inside = table["time"].between(before, time[time > 4].min() - 1e-9)
         assert table["p"][inside].isna().all()
         assert_allclose(table["p"][~inside], table["time"][~inside], atol=1e-5)
 

@@ -170,8 +170,8 @@ class TestPX4:
     @pytest.mark.parametrize("source", [0, -1, 4])
     def test_what_no_sensor_measured_is_no_airspeed(self, read, field, source, px4):
         log = px4()
-        kind = {field: ("int32_t", source)}
-        log.topic("airspeed_validated", SLOW, true_airspeed_m_s=TRUE, **kind)
+        fields = {"true_airspeed_m_s": TRUE, field: ("int32_t", source)}
+        log.topic("airspeed_validated", SLOW, **fields)
         log.topic("airspeed", SLOW, true_airspeed_m_s=2.0)
         with pytest.warns(FlightDataWarning, match=rf"{field} \[{source}\]"):
             assert "airspeed" not in read(log, airborne=False)

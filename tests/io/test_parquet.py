@@ -31,11 +31,10 @@ def read(tmp_path):
 
 
 TEXTS = [str(value) for value in ALPHA]
-DECIMALS = [Decimal(text) for text in TEXTS]
 STAMPS = [NOON + second for second in SECONDS]
 READ = {
     "float32": ("alpha", pa.array(ALPHA, pa.float32())),
-    "decimal": ("alpha", pa.array(DECIMALS)),
+    "decimal": ("alpha", pa.array([Decimal(text) for text in TEXTS])),
     "text": ("alpha", pa.array(TEXTS)),
     "whole numbers": ("north", pa.array([1, 0, 1], pa.uint16())),
     "truth values": ("north", pa.array([True, False, True])),

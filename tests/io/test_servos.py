@@ -91,8 +91,10 @@ class TestFullThrow:
             table["rudder"], -0.5 * parts["rudder"]
         )  # another sign than the parameters say
         assert "aileron" not in table
-        words = r"full throw of 'elevon_left', but expected surfaces .*'elevator'"
-        refused(words, ardupilot, "log.bin", servos={"elevon_left": "25 deg"})
+        refused(
+            r"full throw of 'elevon_left', but expected surfaces .*'elevator'",
+            ardupilot, "log.bin", servos={"elevon_left": "25 deg"},
+        )  # fmt: skip
 
     def test_an_a_tail_and_a_single_aileron_servo_of_px4(self, parse, ulog):
         """The last is a wheel."""
@@ -127,8 +129,10 @@ class TestFullThrow:
     def test_what_cannot_be(self, refused, dataflash, ulog):
         log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0)
         log.topic("RCOU", [0.1, 0.2], C1=("H", 1500))
-        words = r"min, trim, max of aileron on RCOU.C1 \(1900.0, 1500.0, 1900.0\)"
-        refused(words, log, servos="full throw")
+        refused(
+            r"min, trim, max of aileron on RCOU.C1 \(1900.0, 1500.0, 1900.0\)",
+            log, servos="full throw",
+        )  # fmt: skip
         log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=[1, 2])
         refused(r"expected some of \['actuator_servos'.*CA_SV", log, servos="full throw")
         log.topic("actuator_servos", [0.1, 0.2], control=np.zeros((2, 2)))

@@ -49,8 +49,8 @@ def test_arrival_in_bursts_changes_nothing(tlog, read):
     bursts = []
     for message in tlog:
         (stamp,) = struct.unpack(">Q", message[:8])
-        late = (stamp // 4_000_000 + 1) * 4_000_000
-        bursts.append(struct.pack(">Q", late) + message[8:])
+        late = struct.pack(">Q", (stamp // 4_000_000 + 1) * 4_000_000)
+        bursts.append(late + message[8:])
     table = read(tlog)
     assert_frame_equal(read(bursts), table)
     assert table["airspeed"].notna().all()

@@ -78,8 +78,10 @@ class TestDamage:
             parse(with_bad(ticks(1, 2), "bad:bad inner;"))
 
     def test_messages_of_no_topic(self, read, ticks, ulog):
-        datum = ulog.message("D", struct.pack("<HQ", 9, 3))
-        assert read(*ticks(1, 2).parts(), datum).remarks == SKIPPED
+        assert (
+            read(*ticks(1, 2).parts(), ulog.message("D", struct.pack("<HQ", 9, 3))).remarks
+            == SKIPPED
+        )
 
 
 def with_bad(log, text):

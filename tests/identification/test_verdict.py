@@ -112,7 +112,7 @@ CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 PREDICT = "predict coefficients"
 SIMULATE = "simulate"
 CONTROL = "design a controller"
-USES = (PREDICT, SIMULATE, CONTROL)
+PURPOSES = (PREDICT, SIMULATE, CONTROL)
 
 
 def simulated(lasts):
@@ -298,7 +298,7 @@ def test_contradictions_of_several_channels_are_told_first_and_each():
     copied = Finding(Code.ALREADY_LEARNED, flight="monday")
     found = verdict(findings=[copied, *contradictions])
     assert found.findings == (*contradictions, copied)
-    for purpose in USES:
+    for purpose in PURPOSES:
         assert use(found, purpose) == ("partly", {"CONTRADICTION"})
     assert [text.split()[0] for text in found.warnings[:2]] == ["p", "elevator"]
 
@@ -313,7 +313,7 @@ def test_bands_that_hold_everything_are_too_wide():
 def test_a_copy_of_a_training_flight_judges_no_use():
     copied = Finding(Code.TESTED_ON_COPY, flight="b", other="a")
     found = verdict(findings=[copied])
-    for purpose in USES:
+    for purpose in PURPOSES:
         assert use(found, purpose) == ("unknown", {"TESTED_ON_COPY"})
 
 

@@ -357,12 +357,12 @@ class FlightPipeline(Pipeline):
         elif np.shape(y)[1:] == (len(COEFFICIENTS),) and not isinstance(y, pd.DataFrame):
             y = pd.DataFrame(y, columns=[*COEFFICIENTS])
         self.n_observed_ = _n_observed(y)
-        every, y = y, self._thinned(y)
+        measured, y = y, self._thinned(y)
         regressors = np.asarray(others.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
         self.steps = [*first.steps, *others.steps, self.steps[-1]]
         settled = self._servos_settled(flights)
-        every, y = observed_at(every, settled), observed_at(y, settled)
+        measured, y = observed_at(measured, settled), observed_at(y, settled)
         self.n_learned_ = _n_observed(y)
         self._learn_flights(flights)
         name, last = self.steps[-1]
@@ -375,7 +375,7 @@ class FlightPipeline(Pipeline):
             facts = {
                 "time": flights.get("time"),
                 "flight": flights.get("flight"),
-                "slopes": partial(self._known_slopes, regressors, every, flights),
+                "slopes": partial(self._known_slopes, regressors, measured, flights),
                 "errors": self.log_errors_,
             }
             parameters = facts | parameters

@@ -53,8 +53,8 @@ from skdgp.preprocessing._table import (
     with_names,
 )
 
-# Share of what accelerometers read off the paths, which another position explains: 0.44 of 3 m, 0.003 at most in
-# seven sound flights
+# Share of what accelerometers read off the paths, which another position explains: 0.44 of 3 m, 0.32 and 0.35 of 1 m
+# on two other aircraft of JSBSim, 0.003 at most in six sound flights
 LEAST_EXPLAINED = 0.2
 
 EstimatedFlight: TypeAlias = tuple[NamedFlight, PathEstimate]

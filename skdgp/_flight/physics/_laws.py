@@ -50,8 +50,8 @@ class Law:
     beside: tuple[str, ...] = ()
     #: Usual causes of a contradiction
     causes: tuple[str, ...] = ()
-    #: Causes that give one slope, with this slope
-    slope_of: Mapping[str, float] = field(default_factory=dict)
+    #: The slope that each of further causes gives
+    slope_by_cause: Mapping[str, float] = field(default_factory=dict)
     #: Unit of the slope
     unit: str = ""
     #: Error of x [unit of x]: a signal of no larger root mean square decides nothing
@@ -219,8 +219,8 @@ class Contradiction:
                 value = -value
                 later, earlier = earlier, later
         causes = [*self.law.causes]
-        for cause, of_cause in self.law.slope_of.items():
-            if np.isclose(self.slope.value, of_cause, rtol=0.05, atol=2 * self.slope.std):
+        for cause, slope in self.law.slope_by_cause.items():
+            if np.isclose(self.slope.value, slope, rtol=0.05, atol=2 * self.slope.std):
                 causes.append(cause)
         expected = self.law.admissible.text
         unit = self.law.unit

@@ -43,8 +43,9 @@ STEADY = Interval(-0.2, 0.2, "-0.2 to 0.2")
 # of the airspeed over the ground velocity, the later less the earlier one: -0.1 ± 0.1 at least in 232 sound flights
 # whose velocity varies; -1 where the airspeed stands still
 MOVING = Interval(-0.3, np.inf, "no less than -0.3")
+FOOT = 0.3048  # [m]
 # units of airspeed [m/s]
-SPEED_UNITS = {"kt": 1852 / 3600, "ft/s": 0.3048, "km/h": 1 / 3.6}
+SPEED_UNITS = {"kt": 1852 / 3600, "ft/s": FOOT, "km/h": 1 / 3.6}
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 # of one accelerometer, whose part is small beside errors of the attitude; in g it has 9.8
@@ -143,7 +144,7 @@ AIRSPEED = _equality(
     y="the ground velocity less a steady wind",
     x="airspeed",
     regression=equations.velocity_along,
-    slope_of={f"an airspeed in {unit}": factor for unit, factor in SPEED_UNITS.items()},
+    slope_by_cause={f"an airspeed in {unit}": factor for unit, factor in SPEED_UNITS.items()},
     noise=3.0,
     lags=AIRSPEED_LAGS,
     # gusts reach it before the aircraft follows, which makes lags up to 1.0 s (25 simulated flights); beyond, none
@@ -177,7 +178,7 @@ GRAVITY = _equality(
     y="the integral of specific force",
     x="the change of velocity less gravity",
     regression=equations.gravity,
-    slope_of={"an acceleration without gravity": 0.0},
+    slope_by_cause={"an acceleration without gravity": 0.0},
     noise=0.5,
     lags=(0.0,),
 )

@@ -17,7 +17,7 @@ from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import THRUST_FORCES
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
-from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT, SPEED_UNITS, drive_of
+from skdgp._flight.physics._list import CHANNELS, DRIVES, FOOT, LIFT, SPEED_UNITS, drive_of
 from skdgp._flight.physics._regression import Slope
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.tables import FlightTable, by_name
@@ -140,7 +140,6 @@ POWERS = {
 MOMENTS = ("Ixx", "Iyy", "Izz", "Ixz")
 # Sizes that are given together, in one unit
 TOGETHER = {"Ixx": MOMENTS[1:]}
-FOOT = 0.3048
 POUND = 0.45359237
 OF_LENGTHS = {"ft": FOOT, "cm": 0.01, "mm": 0.001, "in": FOOT / 12}
 SI_UNITS = {
